@@ -1,0 +1,1 @@
+"""One file a subcommand, each a thin, typed function. Importing the package itself imports nothing."""

@@ -1,0 +1,1 @@
+"""Pose parameterizations: how a grasp pose becomes the numbers that gradient ascent moves."""
