@@ -1,0 +1,1 @@
+"""Training sets: packed arrays on disk, and the LightningDataModules that serve them."""
