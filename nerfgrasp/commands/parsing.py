@@ -1,0 +1,75 @@
+"""How arguments and configs are parsed: jsonargparse, with one-line errors that name near misses."""
+
+import re
+from collections.abc import Callable, Iterable
+from difflib import get_close_matches
+from typing import Any, NoReturn
+
+from jsonargparse import ArgumentParser, auto_cli
+
+from nerfgrasp.errors import UserError
+
+
+class OneLineErrors:
+    """A mixin for jsonargparse parsers: usage errors become `UserError`, unknown options list near misses.
+
+    Put it before the parser class: `class Parser(OneLineErrors, LightningArgumentParser)`.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        kwargs.setdefault("allow_abbrev", False)
+        super().__init__(*args, **kwargs)
+
+    def error(self, message: str, ex: Exception | None = None) -> NoReturn:
+        """Raises the error, as jsonargparse expects it of a parser.
+
+        Raises:
+            UserError: the user's arguments or config are wrong.
+        """
+        line = one_line(message) + _near_misses(message, self._actions)  # type: ignore[attr-defined]
+        if not self.exit_on_error:  # type: ignore[attr-defined]
+            super().error(line, ex)  # type: ignore[misc]  # a parser inside another, which may still try other types
+        raise UserError(line) from ex
+
+
+class Parser(OneLineErrors, ArgumentParser):
+    """The parser of every command that is a plain function."""
+
+
+def call(function: Callable[..., Any], args: list[str], *, prog: str) -> Any:
+    """Parses `args` by the signature of `function`, calls it, and returns what it returns.
+
+    Raises:
+        UserError: the arguments or a `--config` do not fit the signature.
+    """
+    return auto_cli(function, args=args, as_positional=False, parser_class=Parser, prog=prog)
+
+
+def one_line(message: str) -> str:
+    r"""Returns jsonargparse's message on one line, less what only a programmer reads.
+
+    Example:
+        >>> one_line('Parser key "scenes":\n  Expected a <class \'int\'>. Got value: many')
+        "'scenes': expected int. Got value: many"
+    """
+    line = " ".join(message.split())
+    line = re.sub(r"Does not validate against any of the Union subtypes Subtypes: .*? Errors: - ", "", line)
+    line = re.sub(r" - Expected a <class 'NoneType'>", "", line)
+    line = re.sub(r" Given value type: <class '[^']*'>", ".", line)
+    line = re.sub(r"Expected a (?:<class '([\w.]+)'>|typing\.)", r"expected \1", line)
+    return re.sub(r'^Parser key "([^"]+)"', r"'\1'", line)
+
+
+def _near_misses(message: str, actions: Iterable[Any]) -> str:
+    """Returns ` (did you mean ...?)` for a message about an unknown option, as near as `actions` come to it."""
+    keys = [action.dest for action in actions if action.dest not in ("help", "print_shtab")]
+    if found := re.match(r"unrecognized arguments: --([^\s=]+)", message):
+        form, near = "--{}", get_close_matches(found[1], keys, n=2)
+    elif found := re.match(r"Option '([^']+)' is not accepted", message):
+        form, near = "{}", get_close_matches(found[1], keys, n=2)
+    elif found := re.match(r"Group '([^']+)' does not accept option '([^']+)'", message):
+        inside = [key.removeprefix(f"{found[1]}.") for key in keys if key.startswith(f"{found[1]}.")]
+        form, near = "{}", get_close_matches(found[2], inside, n=2)
+    else:
+        return ""
+    return f" (did you mean {' or '.join(form.format(key) for key in near)}?)" if near else ""

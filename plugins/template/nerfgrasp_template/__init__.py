@@ -1,0 +1,1 @@
+"""A plug-in for nerfgrasp, to copy: one pose parameterization."""
