@@ -54,10 +54,9 @@ def generate(
     Raises:
         UserError: a value is out of range, or `out` holds another set or cannot be written.
     """
-    from nerfgrasp.sim.physics import PHYSICS, physics_hash
-
     _check(task, scenes, views, seed, size, workers, format)
-    settings = SetSettings(task, seed, scenes, views, size, demonstrations, physics_hash(PHYSICS), format)
+    # Without demonstrations nothing in a set depends on physics.
+    settings = SetSettings(task, seed, scenes, views, size, demonstrations, _physics() if demonstrations else "", format)
     writer = WRITERS[format](Path(out), settings)
     writer.prepare(Workspace())
     missing = writer.missing()
@@ -68,9 +67,14 @@ def generate(
     _report(writer)
 
 
+def _physics() -> str:
+    from nerfgrasp.sim.physics import PHYSICS, physics_hash
+
+    return physics_hash(PHYSICS)
+
+
 def write_slot(writer: PackedWriter | FolderWriter, index: int) -> None:
     """Draws, renders and writes scene `index` of a set; a pure function of the set's settings and `index`."""
-    from nerfgrasp.sim.attempt import demonstrate
     from nerfgrasp.sim.rendering import render_scene
     from nerfgrasp.sim.tasks import scene_cameras, simple_scene
 
@@ -80,6 +84,8 @@ def write_slot(writer: PackedWriter | FolderWriter, index: int) -> None:
         camera = scene_cameras(settings.seed, index, settings.views, settings.size)
         images, masks = render_scene(truth, camera)
         if settings.demonstrations:
+            from nerfgrasp.sim.attempt import demonstrate
+
             truth = replace(truth, demonstration=demonstrate(truth))
     writer.write(index, images, masks, camera, truth)
 

@@ -29,7 +29,7 @@ class SetSettings:
     demonstrations: bool
     """Whether a grasp was demonstrated in each scene."""
     physics: str
-    """Hash of the physics that the demonstrations were carried out in."""
+    """Hash of the physics that the demonstrations were carried out in; empty without demonstrations."""
     format: str = "packed"
     """`packed` (arrays) or `folders` (one scene folder each)."""
 

@@ -1,0 +1,154 @@
+"""`nerfgrasp fit | validate | test`: LightningCLI, with shipped configs by name and data sets made on demand."""
+
+import time
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import lightning
+from lightning import Callback, LightningModule, Trainer
+from lightning.pytorch.callbacks import ModelCheckpoint, TQDMProgressBar
+from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
+
+from nerfgrasp.allocator import keep_freed_memory
+from nerfgrasp.commands.parsing import OneLineErrors
+from nerfgrasp.data.streams import SceneSet, StepDataModule
+from nerfgrasp.errors import UserError, unknown_name
+from nerfgrasp.models.folder import save_model
+
+MODEL_FOLDER = "model"
+"""Where under a run's folder the trained model is written."""
+MEASURED_STEPS = 20
+"""So many steps are timed before the run's length is told."""
+
+
+class Parser(OneLineErrors, LightningArgumentParser):
+    """LightningCLI's parser with one-line errors."""
+
+
+class Command(LightningCLI):
+    """LightningCLI with a checkpoint callback, data sets made on demand, and a model folder at the end."""
+
+    def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
+        """Adds the checkpoint callback, configured under `checkpoint`."""
+        parser.add_lightning_class_args(ModelCheckpoint, "checkpoint")
+        # A checkpoint every few minutes, the newest kept: a killed run goes on with --ckpt_path last.
+        parser.set_defaults({"checkpoint.every_n_train_steps": 500, "checkpoint.save_last": True})
+
+    def init_parser(self, **kwargs: Any) -> Parser:
+        """Returns the parser of one verb."""
+        parser = Parser(**kwargs)
+        parser.add_argument("-c", "--config", action=lightning.pytorch.cli.ActionConfigFile, help="a config; may be repeated")
+        return parser
+
+    def before_fit(self) -> None:
+        """Makes the data sets that are not there, and says what is to come."""
+        self._prepare()
+        print(f"{self.trainer.max_steps} steps; the run's folder is {self.trainer.default_root_dir}", flush=True)
+
+    def before_validate(self) -> None:
+        """Makes the data sets that are not there."""
+        self._prepare()
+
+    before_test = before_validate
+
+    def after_fit(self) -> None:
+        """Writes the model folder."""
+        if self.trainer.interrupted or not self.trainer.is_global_zero:
+            return
+        folder = Path(self.trainer.default_root_dir) / MODEL_FOLDER
+        save_model(folder, self.model.network)
+        print(f"the model is in {folder}")
+
+    def _prepare(self) -> None:
+        _check_views(self.model, self.datamodule)
+        if isinstance(self.datamodule, StepDataModule):
+            for scenes in self.datamodule.sets():
+                _make(scenes)
+
+
+class ExpectedTime(Callback):
+    """Prints how long a run will take once its first steps are timed."""
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Notes where the run starts."""
+        self._first, self._begin = trainer.global_step, 0.0
+
+    def on_train_batch_end(self, trainer: Trainer, *_: object) -> None:
+        """Times steps after the first, which is slower than the rest."""
+        done = trainer.global_step - self._first
+        if done == 1:
+            self._begin = time.monotonic()
+        elif done == 1 + MEASURED_STEPS and trainer.max_steps > 0:
+            step = (time.monotonic() - self._begin) / MEASURED_STEPS
+            hours = step * (trainer.max_steps - trainer.global_step) / 3600
+            print(f"\n{step:.2f} s a step: about {hours:.1f} hours to go", flush=True)
+
+
+def main(verb: str, args: list[str]) -> None:
+    """Runs `fit`, `validate` or `test` with LightningCLI's arguments.
+
+    Raises:
+        UserError: a config is not found or does not fit, or a data set cannot be made.
+    """
+    keep_freed_memory()
+    Command(
+        args=[verb, *shipped_configs(args)],
+        seed_everything_default=0,
+        save_config_kwargs={"overwrite": True},
+        parser_kwargs={name: {"prog": f"nerfgrasp {name}"} for name in ("fit", "validate", "test")},
+        trainer_defaults={
+            "callbacks": [ExpectedTime(), TQDMProgressBar(refresh_rate=10)],
+            "check_val_every_n_epoch": None,
+            "num_sanity_val_steps": 0,
+        },
+    )
+
+
+def shipped_configs(args: list[str]) -> list[str]:
+    """Returns the arguments with each `--config NAME` that is no file here replaced by the shipped one's path.
+
+    Raises:
+        UserError: there is no such file, neither here nor among those shipped.
+    """
+    found, config_follows = [], False
+    for argument in args:
+        if config_follows:
+            argument = _find_config(argument)
+        elif argument.startswith("--config="):
+            argument = "--config=" + _find_config(argument.removeprefix("--config="))
+        config_follows = argument in ("--config", "-c")
+        found.append(argument)
+    return found
+
+
+def _find_config(name: str) -> str:
+    if Path(name).is_file():
+        return name
+    package = Path(str(files("nerfgrasp")))
+    folder = next(f for f in (package / "configs", package.parent / "configs") if f.is_dir())
+    if not Path(name).is_absolute() and (folder / name).is_file():
+        return str(folder / name)
+    raise unknown_name("config", name, (str(path.relative_to(folder)) for path in folder.rglob("*.yaml")))
+
+
+def _check_views(module: LightningModule, data: Any) -> None:
+    network = getattr(module, "network", None)
+    config = getattr(network, "config", None)
+    backbone = getattr(config, "backbone", config)
+    if backbone is not None and getattr(data, "views", backbone.views) != backbone.views:
+        raise UserError(f"data.init_args.views is {data.views}, but the network sees {backbone.views} views")
+
+
+def _make(scenes: SceneSet) -> None:
+    from nerfgrasp.commands.generate import generate
+
+    generate(
+        scenes.task,
+        scenes=scenes.scenes,
+        views=scenes.views,
+        seed=scenes.seed,
+        out=Path(scenes.folder),
+        size=scenes.size,
+        demonstrations=scenes.demonstrations,
+    )

@@ -1,0 +1,233 @@
+"""Batches for training Ψ: a scene's demonstrated grasp among poses that are most likely none."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import roma
+import torch
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
+
+from nerfgrasp.data.packed import PackedScenes
+from nerfgrasp.data.rays import input_views
+from nerfgrasp.data.streams import SceneSet, StepDataModule
+from nerfgrasp.geometry import Camera, make_pose
+from nerfgrasp.scenes.scene import Workspace
+
+
+@dataclass(frozen=True)
+class Negatives:
+    """How many negative poses of each kind a scene gets. The defaults are the paper's kinds and shares."""
+
+    uniform: int = 496
+    """Anywhere in the workspace, any orientation."""
+    near: int = 15
+    """Within ±`near_distance` of the demonstrated position, any orientation."""
+    upright: int = 0
+    """Anywhere in the workspace, turned about the vertical only: what tells a place from a direction."""
+    perturbed: int = 0
+    """The demonstrated grasp, turned or moved too far to be good."""
+    near_distance: float = 0.01
+    """Metres."""
+    least_shift: float = 0.012
+    """Metres by which a moved grasp is moved at least."""
+    most_shift: float = 0.05
+    """Metres by which it is moved at most."""
+    least_turn: float = 0.3
+    """Radians by which a turned grasp is turned at least."""
+    most_turn: float = 1.2
+    """Radians by which it is turned at most."""
+
+
+class GraspBatch(NamedTuple):
+    """Poses to be valued in B scenes."""
+
+    scene: Tensor
+    """`[B]`: the scenes' numbers in their set."""
+    view: Tensor
+    """`[B, V]`: the input views' numbers."""
+    images: Tensor
+    """`[B, V, 3, H, W]`, RGB in [0, 1]."""
+    intrinsics: Tensor
+    """`[B, V, 3, 3]`."""
+    T_world_camera: Tensor
+    """`[B, V, 4, 4]`."""
+    T_world_grasp: Tensor
+    """`[B, P, 4, 4]`: the demonstrated grasp first, then the negatives."""
+
+    def camera(self) -> Camera:
+        """Returns the input views' cameras, batch shape `[B, V]`."""
+        height, width = self.images.shape[-2:]
+        return Camera(self.intrinsics, self.T_world_camera, width, height)
+
+
+class GraspData(StepDataModule):
+    """Demonstrated grasps and negatives from packed sets.
+
+    Args:
+        train: scenes with demonstrations.
+        validation: scenes with demonstrations, kept out of training.
+        views: input views a scene; the backbone's `views`.
+        scenes_per_step: scenes in a batch.
+        negatives: how the negative poses are drawn.
+        random_views: whether a step takes random views of a scene as input, or always its first ones.
+        seed: of all draws.
+    """
+
+    def __init__(
+        self,
+        train: SceneSet,
+        validation: SceneSet,
+        views: int = 3,
+        scenes_per_step: int = 1,
+        negatives: Negatives = Negatives(),
+        random_views: bool = True,
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        self.train_set, self.validation_set = train, validation
+        self.views, self.scenes_per_step = views, scenes_per_step
+        self.negatives, self.random_views, self.seed = negatives, random_views, seed
+
+    def sets(self) -> list[SceneSet]:
+        """Returns the training and the validation set."""
+        return [self.train_set, self.validation_set]
+
+    def setup(self, stage: str) -> None:
+        """Opens the sets."""
+        self.train_scenes = self.train_set.open() if stage == "fit" else None
+        self.train_grasps = demonstrations(self.train_scenes) if self.train_scenes is not None else {}
+        self.held_out = self.validation_set.open()
+
+    def draw(self, generator: np.random.Generator) -> GraspBatch:
+        """Returns one training batch."""
+        assert self.train_scenes is not None
+        chosen = generator.choice(sorted(self.train_grasps), self.scenes_per_step, replace=False)
+        drawn = [self._draw_scene(int(scene), generator) for scene in chosen]
+        return GraspBatch(*(torch.stack(parts) for parts in zip(*drawn, strict=True)))
+
+    def _draw_scene(self, scene: int, generator: np.random.Generator) -> tuple[Tensor, ...]:
+        assert self.train_scenes is not None
+        all_views = np.arange(self.train_scenes.images.shape[1])
+        view = (generator.permutation(all_views) if self.random_views else all_views)[: self.views]
+        return _grasp_item(self.train_scenes, scene, view, self.train_grasps[scene], self.negatives, generator)
+
+    def val_dataloader(self) -> DataLoader:
+        """Returns the held-out scenes, each with negatives that are the same every time."""
+        return DataLoader(HeldOutGrasps(self.held_out, self.views, self.negatives, self.seed), batch_size=None)
+
+    test_dataloader = val_dataloader
+
+
+class HeldOutGrasps(Dataset[GraspBatch]):
+    """Held-out scenes by their first views, with a fixed draw of negatives each."""
+
+    def __init__(self, scenes: PackedScenes, views: int, negatives: Negatives, seed: int) -> None:
+        self.scenes, self.views, self.negatives, self.seed = scenes, views, negatives, seed
+        self.grasps = list(demonstrations(scenes).items())
+
+    def __len__(self) -> int:
+        return len(self.grasps)
+
+    def __getitem__(self, item: int) -> GraspBatch:
+        if item >= len(self):
+            raise IndexError(item)
+        scene, grasp = self.grasps[item]
+        generator = np.random.default_rng((self.seed, scene))
+        drawn = _grasp_item(self.scenes, scene, np.arange(self.views), grasp, self.negatives, generator)
+        return GraspBatch(*(part[None] for part in drawn))
+
+
+def _grasp_item(
+    scenes: PackedScenes,
+    scene: int,
+    view: np.ndarray,
+    grasp: Tensor,
+    negatives: Negatives,
+    generator: np.random.Generator,
+) -> tuple[Tensor, ...]:
+    poses = torch.cat(
+        [half_turned(grasp[None], generator), draw_negatives(grasp, scenes.workspace, negatives, generator)]
+    )
+    return (torch.tensor(scene), torch.from_numpy(view), *input_views(scenes, scene, view), poses)
+
+
+def demonstrations(scenes: PackedScenes) -> dict[int, Tensor]:
+    """Returns the demonstrated grasps `[4, 4]` by scene number; scenes without one are left out."""
+    truths = ((scene, scenes.truth(scene).demonstration) for scene in range(len(scenes)))
+    return {scene: grasp.float() for scene, grasp in truths if grasp is not None}
+
+
+def half_turned(T_world_grasp: Tensor, generator: np.random.Generator) -> Tensor:
+    """Turns half of the grasps `[N, 4, 4]` by 180° about their approach: for a parallel gripper the same grasp."""
+    turn = torch.from_numpy(generator.integers(0, 2, len(T_world_grasp))).to(T_world_grasp)
+    sign = torch.stack([1 - 2 * turn, 1 - 2 * turn, torch.ones_like(turn), torch.ones_like(turn)], dim=-1)
+    return T_world_grasp * sign[:, None, :]
+
+
+def draw_negatives(grasp: Tensor, workspace: Workspace, negatives: Negatives, generator: np.random.Generator) -> Tensor:
+    """Returns `[N, 4, 4]` poses that are most likely no grasps.
+
+    Args:
+        grasp: the demonstrated one, `[4, 4]`.
+        workspace: where the uniform ones lie.
+        negatives: how many of each kind.
+        generator: the source of all draws.
+    """
+    kinds = [
+        make_pose(_rotations(negatives.uniform, generator), _positions(negatives.uniform, workspace, generator)),
+        make_pose(
+            _rotations(negatives.near, generator),
+            grasp[:3, 3] + _uniform((negatives.near, 3), negatives.near_distance, generator),
+        ),
+        make_pose(
+            _about_vertical(negatives.upright, generator) @ grasp[:3, :3],
+            _positions(negatives.upright, workspace, generator),
+        ),
+        _perturbed(grasp, negatives, generator),
+    ]
+    return torch.cat(kinds)
+
+
+def _perturbed(grasp: Tensor, negatives: Negatives, generator: np.random.Generator) -> Tensor:
+    """Turns every other copy of a grasp about a random axis or the approach, and moves the others."""
+    count = negatives.perturbed
+    moved = torch.arange(count) % 2 == 0
+    shift = _directions(count, generator) * _between(count, negatives.least_shift, negatives.most_shift, generator)
+    axis = _directions(count, generator)
+    axis[1::4] = torch.tensor([0.0, 0.0, 1.0])
+    turn = axis * _between(count, negatives.least_turn, negatives.most_turn, generator)
+    turn = torch.where(moved[:, None], torch.zeros(()), turn)
+    shift = torch.where(moved[:, None], shift, torch.zeros(()))
+    return grasp @ make_pose(roma.rotvec_to_rotmat(turn), shift)
+
+
+def _rotations(count: int, generator: np.random.Generator) -> Tensor:
+    return roma.unitquat_to_rotmat(torch.nn.functional.normalize(_normal((count, 4), generator), dim=-1))
+
+
+def _about_vertical(count: int, generator: np.random.Generator) -> Tensor:
+    angle = _uniform((count, 1), np.pi, generator)
+    return roma.rotvec_to_rotmat(angle * torch.tensor([0.0, 0.0, 1.0]))
+
+
+def _positions(count: int, workspace: Workspace, generator: np.random.Generator) -> Tensor:
+    share = torch.from_numpy(generator.random((count, 3))).float()
+    return workspace.minimum + (workspace.maximum - workspace.minimum) * share
+
+
+def _directions(count: int, generator: np.random.Generator) -> Tensor:
+    return torch.nn.functional.normalize(_normal((count, 3), generator), dim=-1)
+
+
+def _between(count: int, least: float, most: float, generator: np.random.Generator) -> Tensor:
+    return torch.from_numpy(generator.uniform(least, most, (count, 1))).float()
+
+
+def _uniform(shape: tuple[int, ...], most: float, generator: np.random.Generator) -> Tensor:
+    return torch.from_numpy(generator.uniform(-most, most, shape)).float()
+
+
+def _normal(shape: tuple[int, ...], generator: np.random.Generator) -> Tensor:
+    return torch.from_numpy(generator.standard_normal(shape)).float()

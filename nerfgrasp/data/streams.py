@@ -1,0 +1,83 @@
+"""Training batches as a function of (seed, step), so that a resumed run draws what an unbroken one would."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+from lightning import LightningDataModule
+from torch.utils.data import DataLoader, IterableDataset
+
+if TYPE_CHECKING:
+    from nerfgrasp.data.packed import PackedScenes
+
+Batch = TypeVar("Batch")
+
+
+@dataclass(frozen=True)
+class SceneSet:
+    """A packed set of simulated scenes: where it is, and how to make it if it is not there."""
+
+    folder: Path
+    """The set's folder."""
+    scenes: int
+    """How many scenes it has."""
+    views: int
+    """Views a scene."""
+    seed: int
+    """The seed from which every scene is drawn; sets of different seeds share no scene."""
+    task: str = "simple"
+    """The task that draws the scenes."""
+    size: int = 128
+    """The images' side in pixels."""
+    demonstrations: bool = False
+    """Whether each scene has a demonstrated grasp."""
+
+    def open(self) -> "PackedScenes":
+        """Opens the set.
+
+        Raises:
+            UserError: it is missing, incomplete or damaged.
+        """
+        from nerfgrasp.data.packed import PackedScenes
+
+        return PackedScenes(self.folder)
+
+
+class StepStream(IterableDataset[Batch]):
+    """An endless stream whose item number `step` is `draw(generator)` with a generator of (seed, step, rank)."""
+
+    def __init__(self, draw: Callable[[np.random.Generator], Batch], seed: int, start: int, rank: int = 0) -> None:
+        self.draw, self.seed, self.start, self.rank = draw, seed, start, rank
+
+    def __iter__(self) -> Iterator[Batch]:
+        step = self.start
+        while True:
+            yield self.draw(np.random.default_rng((self.seed, step, self.rank)))
+            step += 1
+
+
+class StepDataModule(LightningDataModule):
+    """A data module whose training batches are drawn anew for every step, starting at the trainer's.
+
+    Subclasses give `draw(generator)`, `sets()` and a validation loader.
+    """
+
+    seed: int
+
+    def sets(self) -> list[SceneSet]:
+        """Returns the sets that the module reads, so that missing ones can be made."""
+        raise NotImplementedError
+
+    def draw(self, generator: np.random.Generator) -> object:
+        """Returns one training batch."""
+        raise NotImplementedError
+
+    def train_dataloader(self) -> DataLoader:
+        """Returns the stream from the trainer's global step on."""
+        trainer = self.trainer
+        start, rank = (
+            (trainer.global_step * trainer.accumulate_grad_batches, trainer.global_rank) if trainer else (0, 0)
+        )
+        return DataLoader(StepStream(self.draw, self.seed, start, rank), batch_size=None)

@@ -1,0 +1,88 @@
+"""Pinhole cameras: projection, rays through pixels, and cameras that look at a point."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from nerfgrasp.geometry.frames import invert, make_pose, transform
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Pinhole cameras of one image size, any batch shape (usually `[V]`, a scene's views).
+
+    Indexing selects from the batch: `camera[:3]` holds the first three.
+    """
+
+    intrinsics: Tensor
+    """`[..., 3, 3]` in pixels; pixel centres lie at +0.5."""
+    T_world_camera: Tensor
+    """`[..., 4, 4]`, OpenCV axes, metres."""
+    width: int
+    """Image width in pixels."""
+    height: int
+    """Image height in pixels."""
+
+    def __getitem__(self, index: object) -> "Camera":
+        return Camera(self.intrinsics[index], self.T_world_camera[index], self.width, self.height)
+
+    def __len__(self) -> int:
+        return self.intrinsics.shape[0]
+
+    def to(self, device: torch.device | str) -> "Camera":
+        """Returns the same cameras on `device`."""
+        return Camera(self.intrinsics.to(device), self.T_world_camera.to(device), self.width, self.height)
+
+
+def project(camera: Camera, points: Tensor) -> tuple[Tensor, Tensor]:
+    """Projects world points into cameras: u = K (R x + t) / z.
+
+    Args:
+        camera: batch shape `[...]`.
+        points: `[..., N, 3]` in metres, world frame.
+
+    Returns:
+        Pixels `[..., N, 2]` (x, y) and depths along the optical axis `[..., N]` in metres. Points behind a
+        camera have a negative depth, and their pixels mean nothing.
+    """
+    in_camera = transform(invert(camera.T_world_camera), points)
+    depth = in_camera[..., 2]
+    on_image = in_camera @ camera.intrinsics.transpose(-1, -2)
+    return on_image[..., :2] / depth.clamp(min=1e-6)[..., None], depth
+
+
+def pixel_centres(width: int, height: int) -> Tensor:
+    """Returns the centres `[height, width, 2]` (x, y) of an image's pixels."""
+    x = torch.arange(width) + 0.5
+    y = torch.arange(height) + 0.5
+    return torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1)
+
+
+def pixel_rays(camera: Camera, pixels: Tensor) -> tuple[Tensor, Tensor]:
+    """Returns the world-frame rays through pixels.
+
+    Args:
+        camera: batch shape `[...]`.
+        pixels: `[..., N, 2]` (x, y).
+
+    Returns:
+        Origins `[..., N, 3]` in metres and unit directions `[..., N, 3]`.
+    """
+    homogeneous = torch.cat([pixels, torch.ones_like(pixels[..., :1])], dim=-1)
+    in_camera = homogeneous @ torch.linalg.inv(camera.intrinsics).transpose(-1, -2)
+    directions = normalize(in_camera @ camera.T_world_camera[..., :3, :3].transpose(-1, -2), dim=-1)
+    return camera.T_world_camera[..., None, :3, 3].expand_as(directions), directions
+
+
+def look_at(eye: Tensor, target: Tensor, up: Tensor | None = None) -> Tensor:
+    """Returns `T_world_camera` `[..., 4, 4]` of cameras at `eye` `[..., 3]` whose z axis points at `target`.
+
+    The image's upper edge faces `up` (world z by default), which must not be parallel to the line of sight.
+    """
+    up = torch.tensor([0.0, 0.0, 1.0], dtype=eye.dtype, device=eye.device) if up is None else up
+    forward = normalize(target - eye, dim=-1)
+    right = normalize(torch.linalg.cross(forward, up.expand_as(forward)), dim=-1)
+    down = torch.linalg.cross(forward, right)
+    return make_pose(torch.stack([right, down, forward], dim=-1), eye)

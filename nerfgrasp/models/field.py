@@ -1,0 +1,153 @@
+"""The radiance field: points seen by several views, fused, mapped to colour and density.
+
+x, q, features of V views  →  per-view trunk  →  mean over views  →  fused trunk  →  RGB, σ
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import grid_sample, relu, softplus
+
+from nerfgrasp.geometry import Camera, project, transform
+from nerfgrasp.geometry.frames import invert
+
+
+@dataclass(frozen=True)
+class FieldConfig:
+    """A field's shape. The defaults are the paper's (its supplementary diagrams)."""
+
+    width: int = 128
+    """Width of every layer."""
+    view_blocks: int = 3
+    """Residual blocks for each view by itself, weights shared."""
+    fused_blocks: int = 3
+    """Residual blocks after the views are fused."""
+    position_frequencies: int = 10
+    """Frequencies π·2ᵏ that encode a point in the camera's frame."""
+    direction_frequencies: int = 10
+    """Frequencies that encode the view direction in the camera's frame."""
+    pool_variance: bool = False
+    """Whether the variance over views is pooled beside the mean: views agree on surfaces, not in the air."""
+
+
+@dataclass(frozen=True)
+class ViewMaps:
+    """What a field reads from the views of B scenes."""
+
+    features: Tensor
+    """`[B, V, width, h, w]`: the encoder's features after the field's own feature layer."""
+    images: Tensor
+    """`[B, V, 3, H, W]`, RGB in [0, 1]."""
+    camera: Camera
+    """Batch shape `[B, V]`."""
+
+
+class Field(nn.Module):
+    """Θ(x, q, o): a point and a view direction to colour, density and scene activations.
+
+    The paper's first layer takes [encoded x, encoded q, RGB, image feature]. A linear layer commutes with
+    bilinear interpolation, so its feature part is applied to the whole map once (`project_features`), and its
+    direction part once a ray; the sum is the same.
+
+    Source: the paper, section III-A, and its supplementary diagrams.
+    """
+
+    def __init__(self, config: FieldConfig, feature_channels: int) -> None:
+        super().__init__()
+        self.config = config
+        width = config.width
+        self.feature_layer = nn.Conv2d(feature_channels, width, 1, bias=False)
+        self.direction_layer = nn.Linear(6 * config.direction_frequencies, width, bias=False)
+        self.point_layer = nn.Linear(6 * config.position_frequencies + 3, width)
+        self.view_trunk = nn.ModuleList(ResidualBlock(width) for _ in range(config.view_blocks))
+        self.pool_layer = nn.Linear(2 * width, width) if config.pool_variance else nn.Identity()
+        self.fused_trunk = nn.ModuleList(ResidualBlock(width) for _ in range(config.fused_blocks))
+        self.readout = nn.Linear(width, 4)
+
+    @property
+    def activation_count(self) -> int:
+        """How many scene activations a point has: the pooled one and each fused block's."""
+        return 1 + self.config.fused_blocks
+
+    def project_features(self, features: Tensor) -> Tensor:
+        """Applies the feature part of the first layer: `[N, C, h, w]` to `[N, width, h, w]`."""
+        return self.feature_layer(features)
+
+    def activations(self, maps: ViewMaps, points: Tensor, directions: Tensor) -> list[Tensor]:
+        """Returns the scene activations, first the pooled one, each `[B, R, S, width]`.
+
+        Args:
+            maps: the views of B scenes.
+            points: `[B, R, S, 3]` in metres, world frame: S samples on each of R rays.
+            directions: `[B, R, 3]`, unit: one a ray.
+        """
+        pooled = self._pool(self._view_activations(maps, points, directions))
+        outputs = [pooled]
+        for block in self.fused_trunk:
+            outputs.append(block(outputs[-1]))
+        return outputs
+
+    def forward(self, maps: ViewMaps, points: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns RGB `[B, R, S, 3]` in [0, 1] and density `[B, R, S]` in 1/m."""
+        raw = self.readout(relu(self.activations(maps, points, directions)[-1]))
+        # The network speaks of densities per centimetre: a surface's is then of order one.
+        return torch.sigmoid(raw[..., :3]), 100.0 * softplus(raw[..., 3] - 2.0)
+
+    def _view_activations(self, maps: ViewMaps, points: Tensor, directions: Tensor) -> Tensor:
+        """Each view's activation of each point, `[B, V, R, S, width]`."""
+        batch, rays, samples, _ = points.shape
+        views = maps.images.shape[1]
+        flat = points.reshape(batch, 1, rays * samples, 3)
+        T_camera_world = invert(maps.camera.T_world_camera)
+        in_camera = transform(T_camera_world, flat)
+        pixels, _ = project(maps.camera, flat)
+        size = torch.tensor([maps.camera.width, maps.camera.height], device=points.device)
+        grid = (2.0 * pixels / size - 1.0).clamp(-2.0, 2.0).flatten(0, 1)[:, None]
+        colours = _sample(maps.images, grid)
+        features = _sample(maps.features, grid)
+        encoded = encode(in_camera, self.config.position_frequencies)
+        point_part = self.point_layer(torch.cat([encoded, colours], dim=-1)) + features
+        turned = directions[:, None] @ T_camera_world[..., :3, :3].transpose(-1, -2)
+        direction_part = self.direction_layer(encode(turned, self.config.direction_frequencies))
+        x = point_part.view(batch, views, rays, samples, -1) + direction_part[..., None, :]
+        for block in self.view_trunk:
+            x = block(x)
+        return x
+
+    def _pool(self, x: Tensor) -> Tensor:
+        mean = x.mean(dim=1)
+        if not self.config.pool_variance:
+            return mean
+        variance = (x - mean[:, None]).square().mean(dim=1)
+        return self.pool_layer(torch.cat([mean, variance], dim=-1))
+
+
+class ResidualBlock(nn.Module):
+    """x + W₂ relu(W₁ relu(x)), of one width."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.first = nn.Linear(width, width)
+        self.second = nn.Linear(width, width)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Maps `[..., width]` to `[..., width]`."""
+        return x + self.second(relu(self.first(relu(x))))
+
+
+def encode(x: Tensor, frequencies: int) -> Tensor:
+    """Positional encoding: sin(π 2ᵏ x), cos(π 2ᵏ x) for k < `frequencies`; `[..., 3]` to `[..., 6·frequencies]`.
+
+    Source: Mildenhall et al. 2020, equation 4, with the factor π.
+    """
+    scales = math.pi * 2.0 ** torch.arange(frequencies, device=x.device, dtype=x.dtype)
+    angles = (x[..., None, :] * scales[:, None]).flatten(-2)
+    return torch.cat([angles.sin(), angles.cos()], dim=-1)
+
+
+def _sample(maps: Tensor, grid: Tensor) -> Tensor:
+    """Bilinear samples `[B, V, N, C]` of maps `[B, V, C, h, w]` at a grid `[B·V, 1, N, 2]` in [-1, 1]."""
+    sampled = grid_sample(maps.flatten(0, 1), grid, padding_mode="border", align_corners=False)
+    return sampled[:, :, 0].transpose(1, 2).unflatten(0, maps.shape[:2])

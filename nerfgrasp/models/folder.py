@@ -1,0 +1,168 @@
+"""Models as folders, the way the Hugging Face Hub keeps them: `config.json` and `model.safetensors`."""
+
+import hashlib
+import json
+import os
+from dataclasses import asdict, fields, is_dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import nn
+
+from nerfgrasp.errors import UserError, unknown_name
+from nerfgrasp.models.grasp_value import GraspValue, GraspValueConfig
+from nerfgrasp.models.mvnerf import MVNeRF, MVNeRFConfig
+
+DEFAULT_MODEL = "mv3-laptop"
+"""The shipped model that `nerfgrasp optimize` uses if no other is named."""
+
+_KINDS: dict[str, tuple[type[nn.Module], type]] = {
+    "grasp_value": (GraspValue, GraspValueConfig),
+    "mvnerf": (MVNeRF, MVNeRFConfig),
+}
+_METHOD = "psi"
+"""The registered name of the method that a `grasp_value` folder serves."""
+
+Config = TypeVar("Config")
+
+
+def save_model(folder: Path, model: MVNeRF | GraspValue, *, dtype: Any = None) -> None:
+    """Writes a model folder, each file under a temporary name first.
+
+    Args:
+        folder: made if it is not there.
+        model: what to keep, backbone included.
+        dtype: the weights' type in the file, e.g. `torch.float16`; as they are if None.
+    """
+    kind = next(name for name, (module, _) in _KINDS.items() if type(model) is module)
+    header: dict[str, Any] = {"format": 1, "kind": kind}
+    if kind == "grasp_value":
+        header["method"] = _METHOD
+    config = {**header, "config": asdict(model.config)}
+    state = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state_dict().items()}
+    if dtype is not None:
+        state = {name: tensor.to(dtype) if tensor.is_floating_point() else tensor for name, tensor in state.items()}
+    folder.mkdir(parents=True, exist_ok=True)
+    save_file(state, folder / "model.safetensors.part")
+    (folder / "config.json.part").write_text(json.dumps(config, indent=2) + "\n")
+    for name in ("model.safetensors", "config.json"):
+        os.replace(folder / f"{name}.part", folder / name)
+
+
+def load_model(name: str | Path) -> MVNeRF | GraspValue:
+    """Reads a model, in evaluation mode, on the CPU, in float32.
+
+    Args:
+        name: a folder, a shipped model's name, or a Hugging Face repository id.
+
+    Raises:
+        UserError: there is no such model, or a file of it is missing, truncated or of another shape.
+    """
+    folder = find_model(str(name))
+    config = _read_config(folder)
+    kind, plain = config.get("kind"), config.get("config")
+    if kind not in _KINDS or not isinstance(plain, dict):
+        raise UserError(f"{folder / 'config.json'}: no model of a known kind ({', '.join(sorted(_KINDS))})")
+    module, config_class = _KINDS[kind]
+    try:
+        built = from_plain(config_class, _without_pretrained(plain))
+        model = module(built)
+    except (TypeError, ValueError, KeyError) as error:
+        raise UserError(f"{folder / 'config.json'}: {error}") from error
+    _load_weights(model, folder / "model.safetensors")
+    return model.eval()  # type: ignore[return-value]
+
+
+def find_model(name: str) -> Path:
+    """Returns a model's folder: as it is, shipped with the package, or fetched from the Hugging Face Hub.
+
+    Raises:
+        UserError: there is none of that name.
+    """
+    if Path(name).is_dir():
+        return Path(name)
+    shipped = Path(str(files("nerfgrasp"))) / "assets" / "models"
+    if (shipped / name / "config.json").is_file():
+        return shipped / name
+    choices = [folder.name for folder in shipped.iterdir() if folder.is_dir()] if shipped.is_dir() else []
+    if name.count("/") != 1 or name.startswith((".", "/")):
+        raise unknown_name("model (no folder, and none shipped by that name)", name, choices)
+    return _fetch(name)
+
+
+def weights_hash(model: nn.Module) -> str:
+    """Returns the SHA-256 of a model's weights: names, shapes and values, in order."""
+    digest = hashlib.sha256()
+    for name, tensor in sorted(model.state_dict().items()):
+        digest.update(f"{name} {tuple(tensor.shape)} {tensor.dtype}".encode())
+        digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()
+
+
+def from_plain(config_class: type[Config], plain: dict[str, Any]) -> Config:
+    """Builds a (nested) config dataclass from plain JSON data.
+
+    Raises:
+        ValueError: a key is unknown.
+    """
+    hints = get_type_hints(config_class)
+    unknown = plain.keys() - {entry.name for entry in fields(config_class)}  # type: ignore[arg-type]
+    if unknown:
+        raise ValueError(f"unknown key {sorted(unknown)[0]!r} in {config_class.__name__}")
+    values = {key: _typed(hints[key], value) for key, value in plain.items()}
+    return config_class(**values)
+
+
+def _typed(hint: Any, value: Any) -> Any:
+    if is_dataclass(hint) and isinstance(value, dict):
+        return from_plain(hint, value)  # type: ignore[arg-type]
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _read_config(folder: Path) -> dict[str, Any]:
+    path = folder / "config.json"
+    try:
+        config = json.loads(path.read_text())
+    except FileNotFoundError:
+        raise UserError(f"{folder}: no model folder: config.json is missing") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise UserError(f"{path}: not JSON ({error})") from error
+    if not isinstance(config, dict):
+        raise UserError(f"{path}: not a JSON object")
+    return config
+
+
+def _without_pretrained(plain: dict[str, Any]) -> dict[str, Any]:
+    """The weights come from the folder: none are to be fetched for the encoder."""
+    copy = dict(plain)
+    for key in ("backbone", "encoder"):
+        if isinstance(copy.get(key), dict):
+            copy[key] = _without_pretrained(copy[key])
+    return {**copy, "pretrained": False} if "pretrained" in copy else copy
+
+
+def _load_weights(model: nn.Module, path: Path) -> None:
+    try:
+        state = load_file(path)
+    except FileNotFoundError:
+        raise UserError(f"{path}: the weights are missing") from None
+    except (SafetensorError, OSError) as error:
+        raise UserError(f"{path}: damaged or truncated ({error})") from error
+    try:
+        model.load_state_dict(state)
+    except RuntimeError as error:
+        reason = str(error).splitlines()[1].strip() if "\n" in str(error) else str(error)
+        raise UserError(f"{path}: the weights do not fit config.json: {reason}") from error
+
+
+def _fetch(repository: str) -> Path:
+    from huggingface_hub import snapshot_download
+
+    try:
+        return Path(snapshot_download(repository, allow_patterns=["config.json", "model.safetensors"]))
+    except Exception as error:  # the hub's client raises many kinds; to the user they are one
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise UserError(f"no folder {repository!r}, and it cannot be fetched from the Hugging Face Hub: {reason}") from error

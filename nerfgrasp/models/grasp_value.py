@@ -1,0 +1,143 @@
+"""Ψ(p, o): the value of a grasp, read from the scene activations of poses around its tool centre point."""
+
+import math
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import elu
+
+from nerfgrasp.errors import UserError
+from nerfgrasp.geometry import Camera
+from nerfgrasp.models.mvnerf import MVNeRF, MVNeRFConfig, SceneFeatures
+from nerfgrasp.scenes.scene import Observations
+
+
+@dataclass(frozen=True)
+class GraspValueConfig:
+    """Ψ's shape. The defaults are the paper's (its supplementary diagrams)."""
+
+    backbone: MVNeRFConfig = field(default_factory=MVNeRFConfig)
+    """The network whose scene activations are read."""
+    activation_width: int = 64
+    """To this each scene activation is reduced."""
+    pose_width: int = 64
+    """To this the activations of one pose are fused."""
+    hidden_width: int = 128
+    """The first residual block's inner width."""
+    output_width: int = 64
+    """The width of what the residual blocks give."""
+
+
+class GraspValue(nn.Module):
+    """The grasp value: a small readout on an MVNeRF.
+
+    Source: the paper, section III-B, and its supplementary diagrams.
+    """
+
+    def __init__(self, config: GraspValueConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.backbone = MVNeRF(config.backbone)
+        count, width = self.backbone.fine.activation_count, config.backbone.fine.width
+        self.reduce = nn.ModuleList(nn.Linear(width, config.activation_width) for _ in range(count))
+        self.fuse = nn.Linear(count * config.activation_width, config.pose_width)
+        self.blocks = nn.Sequential(
+            ReadoutBlock(probe_steps().numel() * len(probe_rays()) * config.pose_width, config.hidden_width, config.output_width),
+            ReadoutBlock(config.output_width, config.output_width, config.output_width),
+        )
+        self.readout = nn.Linear(config.output_width, 1)
+        self.register_buffer("rays", probe_rays(), persistent=False)
+        self.register_buffer("steps", probe_steps(), persistent=False)
+
+    @property
+    def views(self) -> int:
+        """How many images the backbone sees at once."""
+        return self.config.backbone.views
+
+    def head_parameters(self) -> list[nn.Parameter]:
+        """Returns the parameters that are Ψ's own, not the backbone's."""
+        return [parameter for name, parameter in self.named_parameters() if not name.startswith("backbone.")]
+
+    @torch.no_grad()
+    def observe(self, observations: Observations) -> SceneFeatures:
+        """Encodes one scene's images once.
+
+        The views are taken in groups of as many as the backbone sees at once; each group is a batch entry, and
+        `value` averages over them (the paper's MV1 sees each of three images by itself). What is left over of
+        the last group is not used.
+
+        Raises:
+            UserError: there are fewer images than the backbone sees at once.
+        """
+        groups = len(observations) // self.views
+        if groups == 0:
+            raise UserError(f"the model needs {self.views} views, the scene has {len(observations)}")
+        used = observations.select(slice(groups * self.views))
+        shape = (groups, self.views)
+        camera = Camera(
+            used.camera.intrinsics.unflatten(0, shape),
+            used.camera.T_world_camera.unflatten(0, shape),
+            used.camera.width,
+            used.camera.height,
+        )
+        return self.backbone.observe(used.images.unflatten(0, shape), camera)
+
+    def value(self, features: SceneFeatures, T_world_grasp: Tensor) -> Tensor:
+        """Returns the values `[P]` (logits, comparable within the scene) of grasps `[P, 4, 4]` in one scene."""
+        groups = features.fine.images.shape[0]
+        return self(features, T_world_grasp.expand(groups, *T_world_grasp.shape)).mean(dim=0)
+
+    def forward(self, features: SceneFeatures, T_world_grasp: Tensor) -> Tensor:
+        """Returns the values `[B, P]` of grasps `[B, P, 4, 4]` in B scenes; differentiable in the grasps."""
+        points, directions = self._probes(T_world_grasp)
+        activations = self.backbone.activations(features, points.flatten(1, 2), directions.flatten(1, 2))
+        reduced = [elu(layer(a)) for layer, a in zip(self.reduce, activations, strict=True)]
+        fused = elu(self.fuse(torch.cat(reduced, dim=-1)))
+        flat = fused.reshape(*T_world_grasp.shape[:2], -1)
+        return self.readout(elu(self.blocks(flat)))[..., 0]
+
+    def _probes(self, T_world_grasp: Tensor) -> tuple[Tensor, Tensor]:
+        """Points `[B, P, 6, 7, 3]` and directions `[B, P, 6, 3]` around grasps `[B, P, 4, 4]`."""
+        T_world_ray = T_world_grasp[:, :, None] @ self.rays
+        directions = T_world_ray[..., :3, 2]
+        points = T_world_ray[..., None, :3, 3] + directions[..., None, :] * self.steps[:, None]
+        return points, directions
+
+
+class ReadoutBlock(nn.Module):
+    """W_s x + W₂ elu(W₁ elu(x)), where W_s is the identity if the width stays."""
+
+    def __init__(self, width_in: int, hidden: int, width_out: int) -> None:
+        super().__init__()
+        self.first = nn.Linear(width_in, hidden)
+        self.second = nn.Linear(hidden, width_out)
+        self.skip = nn.Identity() if width_in == width_out else nn.Linear(width_in, width_out)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Maps `[..., width_in]` to `[..., width_out]`."""
+        return self.skip(x) + self.second(elu(self.first(elu(x))))
+
+
+def probe_rays() -> Tensor:
+    """Returns `T_grasp_ray` `[6, 4, 4]`: the bases about the tool centre point whose z axes look at it.
+
+    Two look along the approach, (0, ±15, 0) mm; four look inward from the fingers, (±20, ±15, 12.5) mm. A
+    viewing ray along each z axis makes the 5-DoF poses at which the backbone is asked.
+    """
+    along = [_ray((0.0, y, 0.0), 0.0) for y in (0.015, -0.015)]
+    inward = [
+        _ray((x, y, 0.0125), -math.copysign(math.pi / 2, x)) for x in (0.02, -0.02) for y in (0.015, -0.015)
+    ]
+    return torch.stack(along + inward)
+
+
+def probe_steps() -> Tensor:
+    """Returns the seven distances `[7]` in metres along each ray: −15 to 15 mm."""
+    return torch.linspace(-0.015, 0.015, 7)
+
+
+def _ray(position: tuple[float, float, float], about_y: float) -> Tensor:
+    c, s = math.cos(about_y), math.sin(about_y)
+    x, y, z = position
+    return torch.tensor([[c, 0.0, s, x], [0.0, 1.0, 0.0, y], [-s, 0.0, c, z], [0.0, 0.0, 0.0, 1.0]])

@@ -1,0 +1,108 @@
+"""Pretraining an MVNeRF by reconstructing views that it has not seen."""
+
+from typing import Any
+
+import torch
+from lightning import LightningModule
+from torch import Tensor
+from torchmetrics import MeanMetric
+from torchmetrics.functional.image import peak_signal_noise_ratio, structural_similarity_index_measure
+
+from nerfgrasp.data.rays import ImageBatch, RayBatch
+from nerfgrasp.geometry import Camera
+from nerfgrasp.models import MVNeRF, MVNeRFConfig, render_image
+from nerfgrasp.scenes.scene import Workspace
+from nerfgrasp.training.schedule import LearningRate
+
+
+class MVNeRFTraining(LightningModule):
+    """Mean squared error of the coarse and the fine rendering, Adam. The defaults are the paper's.
+
+    Args:
+        network: the network's shape.
+        learning_rate: of the fields.
+        encoder_learning_rate: of the encoder.
+        schedule: how both change over the steps.
+        seed: of the network's start and of the samples along rays.
+    """
+
+    def __init__(
+        self,
+        network: MVNeRFConfig = MVNeRFConfig(),
+        learning_rate: float = 1e-4,
+        encoder_learning_rate: float = 1e-5,
+        schedule: LearningRate = LearningRate(),
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self.network = MVNeRF(network)
+        self.learning_rate, self.encoder_learning_rate = learning_rate, encoder_learning_rate
+        self.schedule, self.seed = schedule, seed
+        names = ("psnr", "psnr_objects", "ssim")
+        self.held_out = torch.nn.ModuleDict({name: MeanMetric() for name in names})
+
+    def training_step(self, batch: RayBatch, batch_idx: int) -> Tensor:
+        """Returns the loss of one batch of rays."""
+        generator = torch.Generator().manual_seed(self.seed + 1_000_003 * (self.global_step + 1))
+        features = self.network.observe(batch.images, batch.camera())
+        box = Workspace(batch.minimum, batch.maximum)
+        rendered = self.network.render(features, batch.origins, batch.directions, box, generator)
+        coarse = (rendered.coarse.colour - batch.colours).square().mean()
+        fine = (rendered.fine.colour - batch.colours).square().mean()
+        self.log("train/psnr", -10.0 * fine.detach().log10(), prog_bar=True)
+        self.log("train/loss", coarse.detach() + fine.detach())
+        return coarse + fine
+
+    def validation_step(self, batch: ImageBatch, batch_idx: int) -> None:
+        """Renders a whole held-out view and measures it over the workspace and over the objects."""
+        camera = Camera(batch.intrinsics, batch.T_world_camera, batch.images.shape[-1], batch.images.shape[-2])
+        features = self.network.observe(batch.images, camera)
+        target = Camera(batch.target_intrinsics, batch.target_T_world_camera, camera.width, camera.height)
+        rgb, _, inside = render_image(self.network, features, target, self._workspace())
+        for name, value in image_scores(rgb.movedim(-1, 0), batch.target, inside, batch.objects).items():
+            self.held_out[name].update(value)
+
+    def on_validation_epoch_end(self) -> None:
+        """Logs the means over the held-out views."""
+        self.log_dict({f"val/{name}": metric.compute() for name, metric in self.held_out.items()}, prog_bar=True)
+        for metric in self.held_out.values():
+            metric.reset()
+
+    test_step = validation_step
+    on_test_epoch_end = on_validation_epoch_end
+
+    def configure_optimizers(self) -> dict[str, Any]:
+        """Returns Adam with a rate for the encoder and one for the fields."""
+        encoder = list(self.network.encoder.parameters())
+        fields = [*self.network.coarse.parameters(), *self.network.fine.parameters()]
+        groups = [
+            {"params": encoder, "lr": self.encoder_learning_rate},
+            {"params": fields, "lr": self.learning_rate},
+        ]
+        optimizer = torch.optim.Adam(groups)
+        scheduler = torch.optim.lr_scheduler.LambdaLR(optimizer, self.schedule)
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "step"}}
+
+    def _workspace(self) -> Workspace:
+        return self.trainer.datamodule.held_out.workspace.to(self.device)  # type: ignore[attr-defined]
+
+
+def image_scores(rendered: Tensor, truth: Tensor, inside: Tensor, objects: Tensor) -> dict[str, Tensor]:
+    """Returns one image's `psnr` and `ssim` over the workspace and `psnr_objects` over the objects' pixels.
+
+    Args:
+        rendered: `[3, H, W]` in [0, 1].
+        truth: `[3, H, W]`.
+        inside: `[H, W]` bool: pixels whose rays meet the workspace. Elsewhere the truth stands in.
+        objects: `[H, W]` bool: pixels that show an object. Without any, `psnr_objects` is left out.
+    """
+    rendered = torch.where(inside, rendered, truth)
+    scores = {
+        "psnr": peak_signal_noise_ratio(rendered[:, inside], truth[:, inside], data_range=1.0),
+        "ssim": structural_similarity_index_measure(rendered[None], truth[None], data_range=1.0),
+    }
+    if objects.any():
+        scores["psnr_objects"] = peak_signal_noise_ratio(rendered[:, objects], truth[:, objects], data_range=1.0)
+    return scores  # type: ignore[return-value]
