@@ -1,0 +1,1 @@
+"""Simulation in PyBullet: objects, tasks, pictures and grasp attempts. Only this package imports pybullet."""
