@@ -56,6 +56,7 @@ def one_line(message: str) -> str:
     line = re.sub(r"Does not validate against any of the Union subtypes Subtypes: .*? Errors: - ", "", line)
     line = re.sub(r" - Expected a <class 'NoneType'>", "", line)
     line = re.sub(r" Given value type: <class '[^']*'>", ".", line)
+    line = re.sub(r"(Problem with given class_path .*?)\. Given value: .*", r"\1", line)
     line = re.sub(r"Expected a (?:<class '([\w.]+)'>|typing\.)", r"expected \1", line)
     return re.sub(r'^Parser key "([^"]+)"', r"'\1'", line)
 
@@ -63,13 +64,17 @@ def one_line(message: str) -> str:
 def _near_misses(message: str, actions: Iterable[Any]) -> str:
     """Returns ` (did you mean ...?)` for a message about an unknown option, as near as `actions` come to it."""
     keys = [action.dest for action in actions if action.dest not in ("help", "print_shtab")]
+    form = "'{}'"
+    if "(did you mean" in message:
+        return ""
     if found := re.match(r"unrecognized arguments: --([^\s=]+)", message):
-        form, near = "--{}", get_close_matches(found[1], keys, n=2)
+        form, unknown = "--{}", found[1]
     elif found := re.match(r"Option '([^']+)' is not accepted", message):
-        form, near = "{}", get_close_matches(found[1], keys, n=2)
+        unknown = found[1]
     elif found := re.match(r"Group '([^']+)' does not accept option '([^']+)'", message):
-        inside = [key.removeprefix(f"{found[1]}.") for key in keys if key.startswith(f"{found[1]}.")]
-        form, near = "{}", get_close_matches(found[2], inside, n=2)
+        group, unknown = found[1], found[2]
+        keys = [key.removeprefix(f"{group}.") for key in keys if key.startswith(f"{group}.")]
     else:
         return ""
-    return f" (did you mean {' or '.join(form.format(key) for key in near)}?)" if near else ""
+    near = get_close_matches(unknown, keys, n=2, cutoff=0.75)
+    return f" (did you mean {' or '.join(map(form.format, near))}?)" if near else ""
