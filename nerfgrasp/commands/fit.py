@@ -1,6 +1,7 @@
 """`nerfgrasp fit | validate | test`: LightningCLI, with shipped configs by name and data sets made on demand."""
 
 import time
+import warnings
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -92,6 +93,7 @@ def main(verb: str, args: list[str]) -> None:
         UserError: a config is not found or does not fit, or a data set cannot be made.
     """
     keep_freed_memory()
+    warnings.filterwarnings("ignore", message="LightningCLI's args parameter")
     Command(
         args=[verb, *shipped_configs(args)],
         seed_everything_default=0,

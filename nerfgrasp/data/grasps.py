@@ -73,6 +73,7 @@ class GraspData(StepDataModule):
         negatives: how the negative poses are drawn.
         random_views: whether a step takes random views of a scene as input, or always its first ones.
         seed: of all draws.
+        workers: processes that draw batches, 0 or 1.
     """
 
     def __init__(
@@ -84,11 +85,13 @@ class GraspData(StepDataModule):
         negatives: Negatives = Negatives(),
         random_views: bool = True,
         seed: int = 0,
+        workers: int = 0,
     ) -> None:
         super().__init__()
         self.train_set, self.validation_set = train, validation
         self.views, self.scenes_per_step = views, scenes_per_step
-        self.negatives, self.random_views, self.seed = negatives, random_views, seed
+        self.negatives, self.random_views = negatives, random_views
+        self.seed, self.workers = seed, workers
 
     def sets(self) -> list[SceneSet]:
         """Returns the training and the validation set."""

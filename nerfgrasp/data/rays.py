@@ -71,6 +71,7 @@ class RayData(StepDataModule):
         validation_scenes: how many of the validation scenes are rendered.
         validation_targets: views rendered of each.
         seed: of all draws.
+        workers: processes that draw batches, 0 or 1.
     """
 
     def __init__(
@@ -85,13 +86,14 @@ class RayData(StepDataModule):
         validation_scenes: int = 8,
         validation_targets: int = 1,
         seed: int = 0,
+        workers: int = 0,
     ) -> None:
         super().__init__()
         self.train_set, self.validation_set = train, validation
         self.views, self.scenes_per_step, self.rays_per_scene = views, scenes_per_step, rays_per_scene
         self.target_views, self.object_share = target_views, object_share
         self.validation_scenes, self.validation_targets = validation_scenes, validation_targets
-        self.seed = seed
+        self.seed, self.workers = seed, workers
 
     def sets(self) -> list[SceneSet]:
         """Returns the training and the validation set."""

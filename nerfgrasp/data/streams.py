@@ -65,6 +65,8 @@ class StepDataModule(LightningDataModule):
     """
 
     seed: int
+    workers: int
+    """Processes that draw batches beside the training (0 or 1); they change nothing in what is drawn."""
 
     def sets(self) -> list[SceneSet]:
         """Returns the sets that the module reads, so that missing ones can be made."""
@@ -80,4 +82,7 @@ class StepDataModule(LightningDataModule):
         start, rank = (
             (trainer.global_step * trainer.accumulate_grad_batches, trainer.global_rank) if trainer else (0, 0)
         )
-        return DataLoader(StepStream(self.draw, self.seed, start, rank), batch_size=None)
+        stream = StepStream(self.draw, self.seed, start, rank)
+        # Forked, so that the open sets need not be pickled.
+        context = "fork" if self.workers else None
+        return DataLoader(stream, batch_size=None, num_workers=self.workers, multiprocessing_context=context)
