@@ -14,7 +14,7 @@ LEARNING = ("nerfgrasp.data", "nerfgrasp.models", "nerfgrasp.training", "nerfgra
 def loaded_after(statement: str) -> set[str]:
     """Returns the top-level modules that a fresh interpreter has loaded after `statement`."""
     script = f"{statement}\nimport sys\nprint('\\n' + ' '.join({{name.split('.')[0] for name in sys.modules}}))"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-P", "-c", script], capture_output=True, text=True, check=True)
     return set(done.stdout.splitlines()[-1].split())
 
 
