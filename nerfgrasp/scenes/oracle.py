@@ -1,0 +1,178 @@
+"""The valid grasps of a scene of prisms, and how far any grasp is from them. Pure geometry.
+
+A valid grasp has its tool centre point (TCP) on one of the scene's rectangles, closes along that rectangle's axis
+(either way: a parallel gripper is symmetric under a half turn) and approaches within 45° of straight down.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import roma
+import torch
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from nerfgrasp.geometry import make_pose
+from nerfgrasp.scenes.bars import FINGERS_2F85, Fingers, bars
+from nerfgrasp.scenes.prisms import Prism
+
+MAX_TILT = math.radians(45.0)
+TABLE_CLEARANCE = 0.0025
+"""Metres between the fingertips and the table."""
+PAD_GRIP = 0.008
+"""Metres that an object's top reaches above the TCP, if the table allows."""
+TRANSLATION_SCALE, ROTATION_SCALE = 0.05, math.radians(45.0)
+"""What counts as one unit of error: 50 mm and 45°."""
+_CHUNK = 20_000
+
+
+@dataclass(frozen=True)
+class ValidGrasps:
+    """`G` rectangles of TCPs, in the world frame: corner + a edge_u + b edge_v with a, b in [0, 1]."""
+
+    corner: Tensor
+    """`[G, 3]`, metres."""
+    edge_u: Tensor
+    """`[G, 3]`, metres, horizontal; zero for a cylinder."""
+    edge_v: Tensor
+    """`[G, 3]`, metres, upwards."""
+    closing: Tensor
+    """`[G, 3]`, unit: the closing axis, up to its sign."""
+    free_yaw: Tensor
+    """Bool `[G]`: every horizontal closing axis is valid."""
+    object: Tensor
+    """`[G]`, long: the number of the object that is grasped."""
+
+    def __len__(self) -> int:
+        return self.corner.shape[0]
+
+
+def valid_grasps(objects: Sequence[Prism], fingers: Fingers = FINGERS_2F85) -> ValidGrasps:
+    """Returns the valid grasps of upright prisms that stand on z = 0, well apart from each other."""
+    rows: list[list[list[float]]] = []
+    free_yaw, numbers = [], []
+    for number, prism in enumerate(objects):
+        low, high = _heights(prism, fingers)
+        pose = prism.T_world_object.double().numpy()
+        for bar in bars(prism, fingers):
+            start = pose[:3, :3] @ [*bar.start, low] + pose[:3, 3]
+            flat = [[*np.subtract(bar.end, bar.start), 0.0], [0.0, 0.0, high - low], [*bar.closing, 0.0]]
+            rows.append([start.tolist(), *(pose[:3, :3] @ np.transpose(flat)).T.tolist()])
+            free_yaw.append(bar.free_yaw)
+            numbers.append(number)
+    corner, edge_u, edge_v, closing = torch.tensor(rows).reshape(-1, 4, 3).unbind(1)
+    return ValidGrasps(corner, edge_u, edge_v, closing, torch.tensor(free_yaw), torch.tensor(numbers))
+
+
+def grasp_errors(T_world_grasp: Tensor, valid: ValidGrasps) -> tuple[Tensor, Tensor]:
+    """Returns the errors to the nearest valid grasp: the one of the smallest d / 50 mm + θ / 45°.
+
+    Args:
+        T_world_grasp: `[..., 4, 4]`.
+        valid: of the same scene.
+
+    Returns:
+        Translation errors `[...]` in metres and rotation errors `[...]` in radians (the geodesic angle to the
+        nearest valid rotation); infinite where the scene has no valid grasp.
+    """
+    batch = T_world_grasp.shape[:-2]
+    if len(valid) == 0:
+        infinite = T_world_grasp.new_full(batch, torch.inf)
+        return infinite, infinite.clone()
+    chunks = T_world_grasp.reshape(-1, 4, 4).split(_CHUNK)
+    pairs = [_nearest_errors(chunk, valid) for chunk in chunks]
+    translation, rotation = (torch.cat(errors) for errors in zip(*pairs, strict=True))
+    return translation.reshape(batch), rotation.reshape(batch)
+
+
+def negative_grasp_error(T_world_grasp: Tensor, valid: ValidGrasps) -> Tensor:
+    """Returns -½ (d / 50 mm + θ / 45°) `[...]` of grasps `[..., 4, 4]`: 0 is a valid grasp."""
+    translation, rotation = grasp_errors(T_world_grasp, valid)
+    return -0.5 * (translation / TRANSLATION_SCALE + rotation / ROTATION_SCALE)
+
+
+def sample_top_down(valid: ValidGrasps, generator: torch.Generator | None = None) -> Tensor:
+    """Returns `T_world_grasp` `[4, 4]` of a random valid grasp from straight above.
+
+    The object is drawn first, then one of its rectangles, then the point and the closing axis's sign. A scene
+    without a valid grasp is a ValueError.
+    """
+    if len(valid) == 0:
+        raise ValueError("the scene has no valid grasp")
+    objects = valid.object.unique()
+    mine = (valid.object == objects[_below(len(objects), generator)]).nonzero()[:, 0]
+    g = mine[_below(len(mine), generator)]
+    a, b, yaw, sign = torch.rand(4, generator=generator).tolist()
+    position = valid.corner[g] + a * valid.edge_u[g] + b * valid.edge_v[g]
+    turned = torch.tensor([math.cos(2 * math.pi * yaw), math.sin(2 * math.pi * yaw), 0.0])
+    closing = turned if valid.free_yaw[g] else valid.closing[g] * (1.0 if sign < 0.5 else -1.0)
+    return make_pose(_downward_rotation(closing), position)
+
+
+def _heights(prism: Prism, fingers: Fingers) -> tuple[float, float]:
+    """Returns the lowest and the highest TCP over the table: clear of table and palm, enough object between."""
+    floor = fingers.pad_height / 2 + TABLE_CLEARANCE
+    return max(floor, prism.height - fingers.palm), max(floor, prism.height - PAD_GRIP)
+
+
+def _below(count: int, generator: torch.Generator | None) -> int:
+    return int(torch.randint(count, (), generator=generator))
+
+
+def _downward_rotation(closing: Tensor) -> Tensor:
+    """Returns the rotations `[..., 3, 3]` with x on the closing axes `[..., 3]` and z as near to down as can be."""
+    down = torch.tensor([0.0, 0.0, -1.0], dtype=closing.dtype, device=closing.device)
+    z = normalize(down - (closing @ down)[..., None] * closing, dim=-1)
+    return torch.stack([closing, torch.linalg.cross(z, closing), z], dim=-1)
+
+
+def _nearest_errors(T: Tensor, valid: ValidGrasps) -> tuple[Tensor, Tensor]:
+    translation, rotation = _translations(T[:, :3, 3], valid), _rotations(T[:, :3, :3], valid)
+    nearest = (translation / TRANSLATION_SCALE + rotation / ROTATION_SCALE).argmin(dim=1, keepdim=True)
+    return translation.gather(1, nearest)[:, 0], rotation.gather(1, nearest)[:, 0]
+
+
+def _translations(points: Tensor, valid: ValidGrasps) -> Tensor:
+    """Returns the distances `[N, G]` of points `[N, 3]` from the rectangles."""
+    offset = points[:, None] - valid.corner.to(points)
+    for edge in (valid.edge_u.to(points), valid.edge_v.to(points)):
+        length = (edge * edge).sum(-1).clamp(min=1e-12)
+        offset = offset - ((offset * edge).sum(-1) / length).clamp(0.0, 1.0)[..., None] * edge
+    return offset.norm(dim=-1)
+
+
+def _rotations(rotation: Tensor, valid: ValidGrasps) -> Tensor:
+    """Returns the geodesic angles `[N, G]` from rotations `[N, 3, 3]` to the nearest valid ones.
+
+    Valid are R0 Rx(φ) with R0 = [c, z0 × c, z0], z0 as near to down as c allows, |φ| ≤ φmax, and the same with -c.
+    With Δ = R0ᵀ R as a quaternion, the twist nearest to it is φ = 2 atan2(x, w), clamped; -c swaps (w, x) for
+    (z, y). Free yaw adds any Rz(ψ), maximised in closed form before φ.
+    """
+    down = _downward_rotation(valid.closing.to(rotation))
+    max_twist = torch.acos((math.cos(MAX_TILT) / -down[:, 2, 2]).clamp(max=1.0))
+    inverse = roma.quat_conjugation(roma.rotmat_to_unitquat(down))
+    relative = roma.quat_product(*torch.broadcast_tensors(inverse, roma.rotmat_to_unitquat(rotation)[:, None]))
+    x, y, z, w = relative.unbind(-1)
+    plain = torch.minimum(_twist_error(w, x, y, z, max_twist), _twist_error(z, y, x, w, max_twist))
+    free = _twist_and_yaw_error(w, x, y, z, max_twist)
+    return torch.where(valid.free_yaw.to(rotation.device), free, plain)
+
+
+def _twist_error(w: Tensor, x: Tensor, y: Tensor, z: Tensor, max_twist: Tensor) -> Tensor:
+    """Returns the angle left after the best twist about x of at most `max_twist`."""
+    half = torch.atan2(torch.where(w < 0, -x, x), w.abs())
+    half = torch.minimum(torch.maximum(half, -max_twist / 2), max_twist / 2)
+    cos, sin = half.cos(), half.sin()
+    rest = ((x * cos - w * sin) ** 2 + y**2 + z**2).sqrt()
+    return 2 * torch.atan2(rest, (w * cos + x * sin).abs())
+
+
+def _twist_and_yaw_error(w: Tensor, x: Tensor, y: Tensor, z: Tensor, max_twist: Tensor) -> Tensor:
+    """Returns the angle left after the best Rz(ψ) Rx(φ), ψ free, |φ| at most `max_twist`."""
+    twist = torch.atan2(2 * (w * x + z * y), w**2 + z**2 - x**2 - y**2)
+    half = torch.minimum(torch.maximum(twist, -max_twist), max_twist) / 2
+    cos, sin = half.cos(), half.sin()
+    kept = ((w * cos + x * sin) ** 2 + (z * cos + y * sin) ** 2).sqrt()
+    return 2 * torch.atan2(((x * cos - w * sin) ** 2 + (y * cos - z * sin) ** 2).sqrt(), kept)
