@@ -56,7 +56,8 @@ def generate(
     """
     _check(task, scenes, views, seed, size, workers, format)
     # Without demonstrations nothing in a set depends on physics.
-    settings = SetSettings(task, seed, scenes, views, size, demonstrations, _physics() if demonstrations else "", format)
+    physics = _physics() if demonstrations else ""
+    settings = SetSettings(task, seed, scenes, views, size, demonstrations, physics, format)
     writer = WRITERS[format](Path(out), settings)
     writer.prepare(Workspace())
     missing = writer.missing()

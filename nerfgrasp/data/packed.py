@@ -4,6 +4,7 @@ A set's folder holds `set.json`, the arrays of `ARRAYS` with scenes and views le
 the truth of each scene. A scene's truth is written last, so that its being there says the scene is complete.
 """
 
+import errno
 import os
 from pathlib import Path
 
@@ -11,9 +12,9 @@ import numpy as np
 import torch
 from numpy.lib.format import open_memmap
 
-from nerfgrasp.data.settings import SetSettings, claim_folder, read_settings
+from nerfgrasp.data.settings import SET_FILE, SetSettings, claim_folder, read_settings
 from nerfgrasp.errors import UserError
-from nerfgrasp.files import make_folder, read_json, remove_temporaries, replacing, write_json
+from nerfgrasp.files import make_folder, read_json, remove, remove_temporaries, replacing, write_json
 from nerfgrasp.geometry import Camera
 from nerfgrasp.scenes.scene import Observations, Scene, Truth, Workspace
 from nerfgrasp.scenes.truth import truth_from_json, truth_to_json
@@ -52,15 +53,13 @@ class PackedWriter:
         Raises:
             UserError: the folder holds something else or is damaged, the disk is full, or it is read-only.
         """
-        claim_folder(self.folder, self.settings, workspace)
-        make_folder(self.folder / "scenes")
-        remove_temporaries(self.folder / "scenes")
-        begun = bool(_complete(self.folder))
-        for name, (shape, dtype) in array_layout(self.settings).items():
-            if begun or _array_path(self.folder, name).exists():
-                _open_array(self.folder, name, self.settings, "r")
-            else:
-                _allocate(_array_path(self.folder, name), shape, dtype)
+        new = claim_folder(self.folder, self.settings, workspace)
+        try:
+            self._allocate()
+        except UserError:
+            if new:
+                self._withdraw()
+            raise
 
     def missing(self) -> list[int]:
         """Returns the numbers of the scenes that are not complete."""
@@ -90,6 +89,22 @@ class PackedWriter:
     def truth(self, index: int) -> Truth:
         """Returns what scene `index`, a complete one, is made of."""
         return _read_truth(self.folder, index)
+
+    def _allocate(self) -> None:
+        make_folder(self.folder / "scenes")
+        remove_temporaries(self.folder / "scenes")
+        begun = bool(_complete(self.folder))
+        for name, (shape, dtype) in array_layout(self.settings).items():
+            if begun or _array_path(self.folder, name).exists():
+                _open_array(self.folder, name, self.settings, "r")
+            else:
+                _allocate(_array_path(self.folder, name), shape, dtype)
+
+    def _withdraw(self) -> None:
+        """Leaves the folder as empty as it was: a set that has no room is not begun."""
+        for path in (*(_array_path(self.folder, name) for name in ARRAYS), self.folder / "scenes"):
+            remove(path)
+        remove(self.folder / SET_FILE)
 
 
 class PackedScenes:
@@ -176,6 +191,8 @@ def _open_array(folder: Path, name: str, settings: SetSettings, mode: str) -> np
     try:
         array = open_memmap(path, mode=mode)
     except (OSError, ValueError, EOFError) as error:
+        if isinstance(error, OSError) and error.errno in (errno.EROFS, errno.EACCES, errno.EPERM):
+            raise UserError(f"cannot {'read' if mode == 'r' else 'write'} {path}: {error.strerror}") from error
         raise UserError(f"{folder} is damaged: cannot read {path.name} ({error})") from error
     if array.shape != shape or array.dtype != dtype:
         raise UserError(f"{folder} is damaged: {path.name} is {array.dtype} {array.shape}, not {dtype} {shape}")

@@ -34,8 +34,11 @@ class SetSettings:
     """`packed` (arrays) or `folders` (one scene folder each)."""
 
 
-def claim_folder(folder: Path, settings: SetSettings, workspace: Workspace) -> None:
+def claim_folder(folder: Path, settings: SetSettings, workspace: Workspace) -> bool:
     """Makes `folder` the place of a set, or checks that it already is the place of the same one.
+
+    Returns:
+        Whether the set is new.
 
     Raises:
         UserError: the folder holds another set or something else, or cannot be written.
@@ -44,11 +47,12 @@ def claim_folder(folder: Path, settings: SetSettings, workspace: Workspace) -> N
     remove_temporaries(folder)
     if (folder / SET_FILE).exists():
         _check_same(folder, settings)
-    elif any(folder.iterdir()):
+        return False
+    if any(folder.iterdir()):
         raise UserError(f"{folder} is not empty and holds no {SET_FILE}: give a new folder")
-    else:
-        data = {"version": FORMAT_VERSION, **asdict(settings), "workspace": workspace_to_json(workspace)}
-        write_json(folder / SET_FILE, data, indent=2)
+    data = {"version": FORMAT_VERSION, **asdict(settings), "workspace": workspace_to_json(workspace)}
+    write_json(folder / SET_FILE, data, indent=2)
+    return True
 
 
 def read_settings(folder: Path) -> tuple[SetSettings, Workspace]:

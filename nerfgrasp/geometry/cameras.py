@@ -1,6 +1,7 @@
 """Pinhole cameras: projection, rays through pixels, and cameras that look at a point."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -25,7 +26,7 @@ class Camera:
     height: int
     """Image height in pixels."""
 
-    def __getitem__(self, index: object) -> "Camera":
+    def __getitem__(self, index: Any) -> "Camera":
         return Camera(self.intrinsics[index], self.T_world_camera[index], self.width, self.height)
 
     def __len__(self) -> int:

@@ -202,7 +202,7 @@ def test_no_set_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="space cannot be reserved here")
-def test_a_full_disk_is_told_and_the_run_can_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_told_and_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -210,9 +210,18 @@ def test_a_full_disk_is_told_and_the_run_can_go_on(tmp_path: Path, monkeypatch: 
         patch.setattr(os, "posix_fallocate", full)
         with pytest.raises(UserError, match=r"cannot write .*images\.npy: No space left on device"):
             PackedWriter(tmp_path / "set", SETTINGS).prepare(Workspace())
-    assert not list((tmp_path / "set").glob("*.npy"))
-    assert not list((tmp_path / "set").glob(".*"))
+    assert not list((tmp_path / "set").iterdir())
     assert len(PackedScenes(packed(tmp_path / "set"))) == 2
+
+
+def test_a_folder_that_turned_read_only_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def read_only(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    writer = PackedWriter(packed(tmp_path / "set"), SETTINGS)
+    monkeypatch.setattr("nerfgrasp.data.packed.open_memmap", read_only)
+    with pytest.raises(UserError, match=r"cannot write .*images\.npy: Read-only file system"):
+        writer.write(0, *slot(0))
 
 
 def test_space_is_taken_before_the_first_scene(tmp_path: Path) -> None:

@@ -1,0 +1,213 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from nerfgrasp.commands import generate as command
+from nerfgrasp.commands.generate import generate
+from nerfgrasp.data.packed import PackedScenes, PackedWriter
+from nerfgrasp.errors import UserError
+from nerfgrasp.scenes.folder import read_scene
+
+pytest.importorskip("pybullet")
+
+SMALL: dict[str, Any] = {"scenes": 6, "views": 3, "size": 32, "seed": 11, "demonstrations": False}
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A set made in one go by one process, to compare others with."""
+    folder = tmp_path_factory.mktemp("generate") / "unbroken"
+    generate(**SMALL, out=folder, workers=1)
+    return folder
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file in a folder, hidden ones too, by its relative path."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def start(folder: Path, workers: int, before: str = "") -> subprocess.Popen[bytes]:
+    """Generates the small set in a process, and a process group, of its own."""
+    call = f"generate(**{SMALL!r}, out=Path({str(folder)!r}), workers={workers})"
+    script = f"from pathlib import Path\nfrom nerfgrasp.commands.generate import generate\n{before}\n{call}"
+    return subprocess.Popen([sys.executable, "-c", script], start_new_session=True)
+
+
+KILLED_WHILE_WRITING = """
+import os, signal
+from nerfgrasp.data import packed
+write_json, written = packed.write_json, []
+def dying(path, data):
+    written.append(path)
+    if len(written) == 3:
+        path.with_name(f".{path.name}.{os.getpid()}.tmp").write_text("half")
+        os.kill(os.getpid(), signal.SIGKILL)
+    write_json(path, data)
+packed.write_json = dying
+"""
+
+
+def test_the_set_is_complete(unbroken: Path) -> None:
+    scenes = PackedScenes(unbroken)
+    assert len(scenes) == 6
+    assert scenes.images.shape == (6, 3, 32, 32, 3)
+    for index in range(6):
+        truth = scenes.truth(index)
+        assert (truth.task, truth.seed, truth.index, truth.demonstration) == ("simple", 11, index, None)
+        assert scenes.masks[index].max() <= len(truth.objects)
+        assert scenes.masks[index].any(), "objects are seen"
+    assert len({images.tobytes() for images in scenes.images}) == 6
+
+
+def test_killed_while_writing_and_continued(unbroken: Path, tmp_path: Path) -> None:
+    process = start(tmp_path / "set", 1, KILLED_WHILE_WRITING)
+    assert process.wait(timeout=300) == -signal.SIGKILL
+    assert len(list((tmp_path / "set" / "scenes").glob("*.json"))) == 2
+    with pytest.raises(UserError, match="4 of 6 scenes are missing"):
+        PackedScenes(tmp_path / "set")
+
+    generate(**SMALL, out=tmp_path / "set", workers=1)
+    assert contents(tmp_path / "set") == contents(unbroken)
+
+
+def test_two_workers_killed_at_any_time_and_continued(unbroken: Path, tmp_path: Path) -> None:
+    process = start(tmp_path / "set", 2)
+    try:
+        deadline = time.monotonic() + 300
+        while not list((tmp_path / "set").glob("scenes/*.json")) and time.monotonic() < deadline:
+            time.sleep(0.005)
+    finally:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+    generate(**SMALL, out=tmp_path / "set", workers=2)
+    assert contents(tmp_path / "set") == contents(unbroken)
+
+
+def test_the_number_of_workers_changes_nothing(unbroken: Path, tmp_path: Path) -> None:
+    generate(**SMALL, out=tmp_path / "set", workers=2)
+    assert contents(tmp_path / "set") == contents(unbroken)
+
+
+def test_demonstrations_change_no_image(unbroken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    # A scene does not depend on how many there are either.
+    generate(**{**SMALL, "scenes": 2, "demonstrations": True}, out=tmp_path / "set", workers=1)
+    scenes, without = PackedScenes(tmp_path / "set"), PackedScenes(unbroken)
+    assert np.array_equal(scenes.images, without.images[:2])
+    assert np.array_equal(scenes.masks, without.masks[:2])
+    found = [scenes.truth(index).demonstration for index in range(2)]
+    assert all(pose is None or pose.shape == (4, 4) for pose in found)
+    assert any(pose is not None for pose in found)
+    assert f"{found.count(None)} without a demonstrated grasp" in capsys.readouterr().out
+
+
+def test_folders(unbroken: Path, tmp_path: Path) -> None:
+    generate(**{**SMALL, "scenes": 2}, out=tmp_path / "set", workers=1, format="folders")
+    scene, same = read_scene(tmp_path / "set" / "000001"), PackedScenes(unbroken).scene(1)
+    assert torch.equal(scene.observations.images, same.observations.images)
+    assert torch.equal(scene.observations.camera.T_world_camera, same.observations.camera.T_world_camera)
+    assert scene.truth is not None
+    assert same.truth is not None
+    assert len(scene.truth.objects) == len(same.truth.objects)
+
+
+def test_a_finished_set_is_left_alone(unbroken: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    times = {path: path.stat().st_mtime_ns for path in unbroken.rglob("*")}
+    generate(**SMALL, out=unbroken, workers=2)
+    assert "is already complete: 6 scenes" in capsys.readouterr().out
+    assert times == {path: path.stat().st_mtime_ns for path in unbroken.rglob("*")}
+
+
+def test_other_settings_are_refused(unbroken: Path) -> None:
+    before = contents(unbroken)
+    with pytest.raises(UserError, match=r"holds another set .*seed 11, asked for 12"):
+        generate(**{**SMALL, "seed": 12}, out=unbroken, workers=1)
+    assert contents(unbroken) == before
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"scenes": 0}, "scenes is 0: it must be from 1 to"),
+        ({"views": -1}, "views is -1"),
+        ({"size": 8}, "size is 8: it must be from 16"),
+        ({"size": 10**9}, "size is 1000000000"),
+        ({"seed": -1}, "seed is -1"),
+        ({"workers": 0}, "workers is 0"),
+        ({"task": "simpel"}, "unknown task 'simpel': did you mean 'simple'"),
+        ({"format": "packd"}, "unknown format 'packd': did you mean 'packed'"),
+    ],
+)
+def test_bad_values_are_refused_and_nothing_is_written(tmp_path: Path, change: dict[str, Any], message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        generate(**{**SMALL, "workers": 1, **change}, out=tmp_path / "set")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_read_only_folder_is_told(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(UserError, match=r"cannot write .*Permission denied"):
+        generate(**SMALL, out=tmp_path / "set", workers=1)
+
+
+def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match=r"cannot write .*Not a directory"):
+        generate(**SMALL, out=tmp_path / "file" / "set", workers=1)
+
+
+def test_an_error_in_a_worker_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def failing(writer: PackedWriter, index: int) -> None:
+        raise ZeroDivisionError(f"in scene {index}")
+
+    monkeypatch.setattr(command, "write_slot", failing)
+    with pytest.raises(ZeroDivisionError, match="in scene"):
+        generate(**SMALL, out=tmp_path / "set", workers=2)
+
+
+def test_a_lost_worker_is_replaced(unbroken: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_slot, mark = command.write_slot, tmp_path / "died"
+
+    def dying_once(writer: PackedWriter, index: int) -> None:
+        import os
+
+        if index == 3 and not mark.exists():
+            mark.touch()
+            os.kill(os.getpid(), 9)
+        write_slot(writer, index)
+
+    monkeypatch.setattr(command, "write_slot", dying_once)
+    generate(**SMALL, out=tmp_path / "set", workers=2)
+    assert mark.exists()
+    assert contents(tmp_path / "set") == contents(unbroken)
+
+
+def test_workers_that_keep_dying_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    deaths = tmp_path / "deaths"
+    deaths.mkdir()
+
+    def dying(writer: PackedWriter, index: int) -> None:
+        import os
+
+        (deaths / str(os.getpid())).touch()
+        os.kill(os.getpid(), 9)
+
+    monkeypatch.setattr(command, "write_slot", dying)
+    with pytest.raises(UserError, match=r"worker processes died 3 times .*: try fewer workers"):
+        generate(**SMALL, out=tmp_path / "set", workers=2)
+    assert 3 <= len(list(deaths.iterdir())) <= 6
+
+
+def test_threads_are_given_back(tmp_path: Path) -> None:
+    threads = torch.get_num_threads()
+    generate(**{**SMALL, "scenes": 1}, out=tmp_path / "set", workers=1)
+    assert torch.get_num_threads() == threads
