@@ -1,0 +1,169 @@
+"""`nerfgrasp optimize`: finds grasps in one scene."""
+
+from collections.abc import Callable
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import roma
+import torch
+from torch import Tensor
+
+from nerfgrasp import __version__, registry
+from nerfgrasp.commands.publishing import publishing
+from nerfgrasp.errors import UserError
+from nerfgrasp.files import read_json, write_json
+from nerfgrasp.models.folder import DEFAULT_MODEL, find_model
+from nerfgrasp.scenes.folder import read_scene
+from nerfgrasp.scenes.scene import Grasps, Scene
+from nerfgrasp.scenes.shipped import find_scene
+from nerfgrasp.search.ascent import Trace
+from nerfgrasp.search.psi import Psi
+from nerfgrasp.search.ranking import distinct
+from nerfgrasp.viz.figures import picture
+from nerfgrasp.viz.imagination import imagine
+
+VALUE_NOTE = "value is a logit, comparable within one scene only"
+_HEADER = "rank  position x, y, z (m)      tilt (deg)   value"
+
+
+def optimize(
+    scene: str,
+    *,
+    model: str = DEFAULT_MODEL,
+    pose: str = "quaternion",
+    candidates: int = 1024,
+    keep: int = 64,
+    seed: int = 0,
+    out: Path | None = None,
+    execute: bool = False,
+    count: int = 10,
+) -> None:
+    """Finds grasps in a scene by gradient ascent on a model's grasp value.
+
+    Writes `grasps.json` (ranked), `picture.png` and `optimization.rrd` (open it with `rerun`), all or none.
+
+    Args:
+        scene: a scene's folder, or the name of a shipped one, e.g. `demo`.
+        model: a model's folder, a Hugging Face repository id, or the name of a shipped one.
+        pose: the registered name of the pose parameterization to climb in.
+        candidates: how many random poses are drawn.
+        keep: how many of them, the best, climb; as many as candidates is the paper's way.
+        seed: the same seed finds the same grasps.
+        out: folder of the results; `SCENE-grasp` if not given.
+        execute: carry the best grasp out in physics; for simulated scenes.
+        count: how many different grasps to list at most.
+
+    Raises:
+        UserError: something asked for is not there, is damaged or cannot be written.
+    """
+    _check(candidates=(candidates, 1), keep=(keep, 1), count=(count, 1), seed=(seed, 0))
+    registry.load(registry.POSES, pose)
+    found = read_scene(find_scene(scene))
+    attempt = _attempt_in_physics(found) if execute else None
+    folder = find_model(model)
+    keep = min(keep, candidates)
+    destination = Path(f"{found.name}-grasp") if out is None else Path(out)
+    with publishing(destination) as results:
+        method = _load_method(model, folder)
+        print(f"searching {found.name}: {candidates} candidates, the best {keep} climb", flush=True)
+        climbed, trace = method.search(
+            found.observations,
+            found.workspace,
+            generator=torch.Generator().manual_seed(seed),
+            pose=pose,
+            candidates=candidates,
+            keep=keep,
+        )
+        grasps = distinct(climbed, count=count)
+        print("\n".join(table(grasps)), flush=True)
+        settings = {"scene": found.name, "model": model, "pose": pose, "seed": seed}
+        data = to_json(grasps, {**settings, "candidates": candidates, "keep": keep})
+        if attempt is not None:
+            data["grasps"][0]["outcome"] = attempt(grasps.T_world_grasp[0])
+            print(f"the best grasp, carried out in physics: {data['grasps'][0]['outcome']}", flush=True)
+        _write(results, found, method, grasps, trace, data)
+        written = [path.name for path in sorted(results.iterdir())]
+    print(f"wrote {', '.join(written)} to {destination}")
+
+
+def table(grasps: Grasps) -> list[str]:
+    """Returns the lines of a ranked table of grasps."""
+    rows = [_HEADER]
+    for rank, (T, value) in enumerate(zip(grasps.T_world_grasp, grasps.value.tolist(), strict=True), start=1):
+        x, y, z = T[:3, 3].tolist()
+        rows.append(f"{rank:4d}  {x:8.3f} {y:8.3f} {z:8.3f}  {tilt_degrees(T):10.1f}  {value:8.2f}")
+    return [*rows, f"({VALUE_NOTE})"]
+
+
+def tilt_degrees(T_world_grasp: Tensor) -> float:
+    """Returns the angle between a grasp's approach and straight down, in degrees."""
+    return float(torch.rad2deg(torch.arccos((-T_world_grasp[2, 2]).clamp(-1.0, 1.0))))
+
+
+def to_json(grasps: Grasps, settings: dict[str, Any]) -> dict[str, Any]:
+    """Returns what `grasps.json` holds: how the grasps came about, then the grasps, best first."""
+    header = {
+        "format": 1,
+        **settings,
+        "versions": {"nerfgrasp": __version__, "torch": version("torch")},
+        "frame": "world, metres; origin at the tool centre point, +z approach, +x closing axis; quaternion xyzw",
+        "note": VALUE_NOTE,
+    }
+    T_world_grasp = grasps.T_world_grasp.double()
+    quaternion = roma.rotmat_to_unitquat(T_world_grasp[:, :3, :3])
+    rows = [
+        {"rank": rank, "position": T[:3, 3].tolist(), "quaternion": q.tolist(), "T_world_grasp": T.tolist(), "value": v}
+        for rank, (T, q, v) in enumerate(zip(T_world_grasp, quaternion, grasps.value.tolist(), strict=True), start=1)
+    ]
+    return {**header, "grasps": rows}
+
+
+def _check(**ranges: tuple[int, int]) -> None:
+    for name, (value, least) in ranges.items():
+        if value < least:
+            raise UserError(f"{name} is {value}: it must be at least {least}")
+
+
+def _load_method(name: str, folder: Path) -> Psi:
+    """Loads a model by the method that its folder names."""
+    method = read_json(folder / "config.json").get("method")
+    if not isinstance(method, str):
+        raise UserError(f"model {name}: its config.json names no grasping method, so it finds no grasps")
+    loaded = registry.load(registry.BASELINES, method).from_pretrained(str(folder))
+    if not isinstance(loaded, Psi):
+        raise UserError(f"model {name}: its method {method!r} does not search by gradient ascent")
+    return loaded
+
+
+def _attempt_in_physics(scene: Scene) -> Callable[[Tensor], str]:
+    """Returns what carries a grasp `[4, 4]` out and names the outcome; fails before the search if it cannot."""
+    truth = scene.truth
+    if truth is None:
+        raise UserError(f"scene {scene.name}: --execute needs a simulated scene, which says what it is made of")
+    from nerfgrasp.sim.attempt import attempt_grasp
+
+    return lambda T_world_grasp: str(attempt_grasp(truth, T_world_grasp).outcome)
+
+
+def _write(folder: Path, scene: Scene, method: Psi, grasps: Grasps, trace: Trace, data: dict[str, Any]) -> None:
+    used = scene.observations.select(slice(method.images))
+    imagined = imagine(method.model, used, scene.workspace)
+    write_json(folder / "grasps.json", data, indent=2)
+    picture(used, grasps, imagined, _facts(grasps, data)).save(folder / "picture.png")
+    if find_spec("rerun") is None:
+        print("rerun is not installed: no optimization.rrd is written")
+        return
+    from nerfgrasp.viz.recording import record_search
+
+    record_search(folder / "optimization.rrd", used, scene.workspace, trace, grasps, imagined)
+
+
+def _facts(grasps: Grasps, data: dict[str, Any]) -> list[str]:
+    best = data["grasps"][0]
+    x, y, z = best["position"]
+    tilt = tilt_degrees(grasps.T_world_grasp[0])
+    facts = ["best grasp", f"at {x:.3f}, {y:.3f}, {z:.3f} m", f"{tilt:.1f}° from straight down"]
+    facts += [f"value {best['value']:.2f}", "(a logit, comparable within this scene only)"]
+    return facts + ([f"in physics: {best['outcome']}"] if "outcome" in best else [])

@@ -1,0 +1,150 @@
+"""Grasp pose optimization by gradient ascent (Algorithm 1 of "Grasping from NeRFs")."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from nerfgrasp.errors import UserError
+from nerfgrasp.scenes.scene import Grasps, Workspace
+from nerfgrasp.search.candidates import random_candidates
+from nerfgrasp.search.ranking import best_first
+from nerfgrasp.search.schedule import PAPER, Phase, PoseParameterization, Schedule
+
+Value = Callable[[Tensor], Tensor]
+"""Maps `T_world_grasp` `[P, 4, 4]` to values `[P]`, differentiably and each pose by itself."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """How the candidates moved: iteration 0 is the start, the last one the end."""
+
+    T_world_grasp: Tensor
+    """`[I, P, 4, 4]`, I = steps + 1."""
+    value: Tensor
+    """`[I, P]`: the value of each of those poses."""
+
+
+def ascend(
+    value: Value,
+    start: Tensor,
+    pose: PoseParameterization,
+    workspace: Workspace,
+    schedule: Schedule = PAPER,
+    *,
+    chunk: int = 256,
+) -> tuple[Grasps, Trace]:
+    """Lets every candidate climb the value by Adam, post-processing its parameters after each step.
+
+    Candidates are independent: the gradient of the sum of values holds each one's own gradient, and Adam works
+    element by element. So they climb in chunks, which bounds the memory and changes nothing else.
+
+    Args:
+        value: the function to climb; its own parameters stay as they are.
+        start: `T_world_grasp` `[P, 4, 4]`.
+        pose: the parameterization to climb in.
+        workspace: where the positions are kept.
+        schedule: phases of steps.
+        chunk: how many candidates climb at once.
+
+    Returns:
+        The final poses, best first, and the trace of all of them in the order of `start`.
+
+    Raises:
+        UserError: no final pose has a finite value.
+    """
+    parts = [_climb(value, part, pose, workspace, schedule) for part in start.split(chunk)]
+    trace = Trace(
+        torch.cat([part.T_world_grasp for part in parts], dim=1), torch.cat([part.value for part in parts], dim=1)
+    )
+    grasps = best_first(trace.T_world_grasp[-1], trace.value[-1])
+    if len(grasps) == 0:
+        raise UserError("the search found no grasp with a finite value: the model's weights may be damaged")
+    return grasps, trace
+
+
+def search(
+    value: Value,
+    pose: PoseParameterization,
+    workspace: Workspace,
+    *,
+    candidates: int,
+    generator: torch.Generator,
+    keep: int | None = None,
+    schedule: Schedule = PAPER,
+    chunk: int = 256,
+) -> tuple[Grasps, Trace]:
+    """Draws random candidates, and lets the best of them climb.
+
+    Args:
+        value: the function to climb.
+        pose: the parameterization to climb in.
+        workspace: where to search.
+        candidates: how many random poses to draw.
+        generator: the only source of randomness.
+        keep: how many of them climb; None for all, which is the paper's way.
+        schedule: phases of steps.
+        chunk: how many candidates are evaluated at once.
+
+    Returns:
+        What `ascend` returns for the candidates kept, which stand in the trace in the order of their first value.
+
+    Raises:
+        UserError: no pose has a finite value.
+    """
+    start = random_candidates(candidates, workspace, generator)
+    if keep is not None and keep < candidates:
+        with torch.no_grad():
+            first = torch.cat([value(part) for part in start.split(chunk)])
+        start = best_first(start, first).T_world_grasp[:keep]
+        if len(start) == 0:
+            raise UserError("no candidate has a finite value: the model's weights may be damaged")
+    return ascend(value, start, pose, workspace, schedule, chunk=chunk)
+
+
+def _climb(value: Value, start: Tensor, pose: PoseParameterization, workspace: Workspace, schedule: Schedule) -> Trace:
+    """Runs one chunk's ascent."""
+    with torch.no_grad():
+        params = pose.project(pose.encode(start), workspace)
+    params = {group: param.detach().clone() for group, param in params.items()}
+    poses, values = [], []
+    for phase in schedule.phases:
+        for T, v in _steps(value, params, pose, workspace, phase, schedule.clip):
+            poses.append(T)
+            values.append(v)
+    with torch.no_grad():
+        poses.append(pose.decode(params))
+        values.append(value(poses[-1]))
+    return Trace(torch.stack(poses), torch.stack(values))
+
+
+def _steps(
+    value: Value,
+    params: dict[str, Tensor],
+    pose: PoseParameterization,
+    workspace: Workspace,
+    phase: Phase,
+    clip: float,
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """Moves `params` in place through one phase, and yields each step's pose and value before the step."""
+    moving = [param.requires_grad_(phase.moves(group)) for group, param in params.items()]
+    moving = [param for param in moving if param.requires_grad]
+    optimizer = torch.optim.Adam(moving, lr=phase.learning_rate, maximize=True)
+    rate = torch.optim.lr_scheduler.ExponentialLR(optimizer, phase.decay)
+    for _ in range(phase.steps):
+        with torch.enable_grad():
+            T = pose.decode(params)
+            v = value(T)
+            gradients = torch.autograd.grad(v.sum(), moving)
+        before = T.detach().clone(), v.detach()  # a copy: a decoded pose may share memory with the parameters
+        for param, gradient in zip(moving, gradients, strict=True):
+            param.grad = gradient.clamp(-clip, clip)
+        optimizer.step()
+        rate.step()
+        with torch.no_grad():
+            for group, projected in pose.project(params, workspace).items():
+                params[group].copy_(projected)
+        yield before
+    for param in params.values():
+        param.requires_grad_(False)

@@ -1,0 +1,104 @@
+"""Ψ with its search: the method `psi`, from observations to grasps."""
+
+from typing import ClassVar
+
+import torch
+
+from nerfgrasp import registry
+from nerfgrasp.errors import UserError
+from nerfgrasp.models.folder import load_model
+from nerfgrasp.models.grasp_value import GraspValue
+from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
+from nerfgrasp.search.ascent import Trace, search
+from nerfgrasp.search.ranking import distinct
+from nerfgrasp.search.schedule import PAPER, PoseParameterization, Schedule
+
+
+class Psi:
+    """Finds grasps by gradient ascent on a learned grasp value."""
+
+    needs: ClassVar[frozenset[str]] = frozenset()
+    """It sees RGB alone."""
+
+    def __init__(
+        self,
+        model: GraspValue,
+        *,
+        candidates: int = 1024,
+        keep: int | None = 64,
+        images: int = 3,
+        schedule: Schedule = PAPER,
+        chunk: int = 64,
+    ) -> None:
+        """Wraps a trained value.
+
+        Args:
+            model: the value Ψ on its backbone.
+            candidates: how many random poses a search draws.
+            keep: how many of them climb; None for all.
+            images: how many of a scene's images are used, from the front, if the model does not need more. A
+                model that sees one at a time averages its values over them (the paper's MV1).
+            schedule: phases of steps.
+            chunk: how many poses are evaluated at once.
+        """
+        self.model = model.eval().requires_grad_(False)
+        self.images = max(images, model.views)
+        self.candidates, self.keep, self.schedule, self.chunk = candidates, keep, schedule, chunk
+
+    @classmethod
+    def from_pretrained(cls, folder: str) -> "Psi":
+        """Loads a model folder, or a shipped model by its name.
+
+        Raises:
+            UserError: there is no such model, it is damaged, or it holds no grasp value.
+        """
+        model = load_model(folder)
+        if not isinstance(model, GraspValue):
+            raise UserError(f"model {folder}: a {type(model).__name__} renders scenes but values no grasps")
+        return cls(model)
+
+    def search(
+        self,
+        observations: Observations,
+        workspace: Workspace,
+        *,
+        generator: torch.Generator,
+        pose: str | PoseParameterization = "quaternion",
+        candidates: int | None = None,
+        keep: int | None = None,
+    ) -> tuple[Grasps, Trace]:
+        """Searches grasps and shows how the search went.
+
+        Args:
+            observations: at least as many views as the model needs.
+            workspace: where to search.
+            generator: the only source of randomness.
+            pose: the parameterization to climb in, or its registered name.
+            candidates: how many random poses to draw; the method's own number if None.
+            keep: how many of them climb; the method's own number if None.
+
+        Returns:
+            The final poses of the candidates that climbed, best first, and their trace.
+
+        Raises:
+            UserError: too few views, or an unknown parameterization.
+        """
+        parameterization = registry.load(registry.POSES, pose)() if isinstance(pose, str) else pose
+        features = self.model.observe(observations.select(slice(self.images)))
+        return search(
+            lambda T: self.model.value(features, T),
+            parameterization,
+            workspace,
+            candidates=self.candidates if candidates is None else candidates,
+            keep=self.keep if keep is None else keep,
+            generator=generator,
+            schedule=self.schedule,
+            chunk=self.chunk,
+        )
+
+    def propose(
+        self, observations: Observations, workspace: Workspace, *, generator: torch.Generator, count: int = 1
+    ) -> Grasps:
+        """Returns up to `count` different grasps, best first; arguments and errors as for `search`."""
+        grasps, _ = self.search(observations, workspace, generator=generator)
+        return distinct(grasps, count=count)

@@ -1,0 +1,69 @@
+"""What a search climbs on and for how long: pose parameterizations, phases and the paper's schedule."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from torch import Tensor
+
+from nerfgrasp.scenes.scene import Workspace
+
+WHOLE = "pose"
+"""The group of a parameterization that does not decouple position and orientation."""
+
+
+class PoseParameterization(Protocol):
+    """How a grasp pose is written as free parameters (entry-point group `nerfgrasp.poses`)."""
+
+    def encode(self, T: Tensor) -> dict[str, Tensor]:
+        """Maps poses `[..., 4, 4]` to parameters `[..., D]` by group: `position` and `orientation`, or `pose`."""
+        ...
+
+    def decode(self, params: dict[str, Tensor]) -> Tensor:
+        """Maps parameters to poses `[..., 4, 4]`, differentiably."""
+        ...
+
+    def project(self, params: dict[str, Tensor], workspace: Workspace) -> dict[str, Tensor]:
+        """Returns valid parameters near `params`, with the position inside the workspace (post-processing)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A run of Adam steps on some of the parameter groups."""
+
+    groups: tuple[str, ...]
+    """The groups that move; a whole-transform parameterization's `pose` moves in every phase."""
+    steps: int
+    """How many steps."""
+    learning_rate: float
+    """Of the first step; in metres for positions, since Adam's steps are about as long as their rate."""
+    decay: float = 1.0
+    """The factor on the learning rate after each step."""
+
+    def moves(self, group: str) -> bool:
+        """Says whether `group` moves in this phase."""
+        return group in self.groups or group == WHOLE
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """The phases of an ascent, in order."""
+
+    phases: tuple[Phase, ...]
+    """Each starts with a fresh optimizer."""
+    clip: float = 1.0
+    """Gradients are clipped to ±clip, element by element."""
+
+    @property
+    def steps(self) -> int:
+        """The number of steps in all."""
+        return sum(phase.steps for phase in self.phases)
+
+
+PAPER = Schedule(
+    (
+        Phase(groups=("position",), steps=16, learning_rate=0.05, decay=0.9),
+        Phase(groups=("orientation",), steps=16, learning_rate=0.05, decay=0.99),
+    )
+)
+"""The schedule of "Grasping from NeRFs", section "Grasp pose optimization"."""

@@ -1,0 +1,1 @@
+"""Pictures and recordings. `recording` is the only module of the project that imports rerun."""

@@ -1,0 +1,87 @@
+"""The picture of a result: what the model saw, what it imagines, and the grasp in both."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from PIL import Image, ImageDraw, ImageFont
+from torch import Tensor
+
+from nerfgrasp.geometry import Camera
+from nerfgrasp.scenes.scene import Grasps, Observations
+from nerfgrasp.viz.gripper import draw_gripper
+
+PANEL_WIDTH = 384
+MARGIN, CAPTION = 12, 26
+_PAPER, _INK, _FAINT = (255, 255, 255), (28, 28, 32), (110, 110, 118)
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One image with its caption and the camera that took it."""
+
+    title: str
+    """The caption."""
+    image: Tensor
+    """`[H, W, 3]`, RGB in [0, 1]."""
+    camera: Camera
+    """Batch shape `[]`, of the image's size."""
+
+
+def picture(
+    observations: Observations, grasps: Grasps, imagined: Sequence[Panel], facts: Sequence[str] = ()
+) -> Image.Image:
+    """Draws the best grasp over the input views (top row) and over imagined ones (bottom row).
+
+    Args:
+        observations: the views that the search used.
+        grasps: best first; only the first is drawn.
+        imagined: further images, see `nerfgrasp.viz.imagination`.
+        facts: lines of text that stand beside the imagined images, the first one larger.
+    """
+    images = observations.images.permute(0, 2, 3, 1)
+    views = [Panel(f"input view {i + 1}", images[i], observations.camera[i]) for i in range(len(observations))]
+    best = grasps.T_world_grasp[0].detach().cpu()
+    rows = [[_render_panel(panel, best) for panel in row] for row in (views, imagined) if row]
+    if facts:
+        (rows[-1] if imagined else rows[0]).append(_render_facts(facts, rows[0][0].height))
+    return _stack(rows)
+
+
+def to_image(rgb: Tensor) -> Image.Image:
+    """Converts RGB `[H, W, 3]` in [0, 1] to an image of 8 bits a channel."""
+    return Image.fromarray((rgb.detach().clamp(0.0, 1.0) * 255).round().byte().cpu().numpy())
+
+
+def _render_panel(panel: Panel, T_world_grasp: Tensor) -> Image.Image:
+    height = round(PANEL_WIDTH * panel.camera.height / panel.camera.width)
+    enlarged = to_image(panel.image).resize((PANEL_WIDTH, height), Image.Resampling.BICUBIC)
+    drawn = draw_gripper(enlarged, panel.camera.to("cpu"), T_world_grasp)
+    canvas = Image.new("RGB", (PANEL_WIDTH, height + CAPTION), _PAPER)
+    canvas.paste(drawn, (0, CAPTION))
+    ImageDraw.Draw(canvas).text((0, CAPTION - 6), panel.title, fill=_FAINT, font=_font(15), anchor="ls")
+    return canvas
+
+
+def _render_facts(facts: Sequence[str], height: int) -> Image.Image:
+    canvas = Image.new("RGB", (PANEL_WIDTH, height), _PAPER)
+    draw = ImageDraw.Draw(canvas)
+    draw.text((MARGIN, CAPTION + 24), facts[0], fill=_INK, font=_font(24), anchor="ls")
+    for line, fact in enumerate(facts[1:]):
+        draw.text((MARGIN, CAPTION + 60 + 26 * line), fact, fill=_FAINT, font=_font(17), anchor="ls")
+    return canvas
+
+
+def _stack(rows: Sequence[Sequence[Image.Image]]) -> Image.Image:
+    width = max(len(row) for row in rows) * (PANEL_WIDTH + MARGIN) + MARGIN
+    heights = [max(image.height for image in row) for row in rows]
+    canvas = Image.new("RGB", (width, sum(heights) + MARGIN * len(rows)), _PAPER)
+    top = 0
+    for row, height in zip(rows, heights, strict=True):
+        for column, image in enumerate(row):
+            canvas.paste(image, (MARGIN + column * (PANEL_WIDTH + MARGIN), top))
+        top += height + MARGIN
+    return canvas
+
+
+def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    return ImageFont.load_default(size=size)

@@ -1,0 +1,114 @@
+"""A search as a Rerun recording: cameras, images, candidates that move, and their values."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from nerfgrasp.geometry import Camera
+from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
+from nerfgrasp.search.ascent import Trace
+from nerfgrasp.viz.figures import Panel
+from nerfgrasp.viz.gripper import gripper_strip
+
+TIMELINE = "iteration"
+MOST_CANDIDATES = 256
+_WINNER, _BOX = (255, 106, 19), (150, 150, 160)
+_CURVES = {"best": _WINNER, "median": (90, 130, 220)}
+
+
+def record_search(
+    path: Path,
+    observations: Observations,
+    workspace: Workspace,
+    trace: Trace,
+    grasps: Grasps,
+    imagined: Sequence[Panel] = (),
+) -> None:
+    """Writes a search as an `.rrd` file that opens with its own blueprint.
+
+    Args:
+        path: the file.
+        observations: the views that the search used.
+        workspace: where it searched.
+        trace: of the candidates; the best `MOST_CANDIDATES` of them are shown.
+        grasps: the result, best first.
+        imagined: renders, of one size and camera each.
+    """
+    recording = rr.RecordingStream("nerfgrasp_optimize")
+    recording.save(path, default_blueprint=_blueprint(len(observations), len(imagined)))
+    recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    box = rr.Boxes3D(mins=[workspace.minimum.tolist()], sizes=[_size(workspace)], colors=[_BOX], radii=[0.0005])
+    recording.log("world/workspace", box, static=True)
+    images = observations.images.permute(0, 2, 3, 1)
+    for i in range(len(observations)):
+        _log_image(recording, f"world/camera_{i}", images[i], observations.camera[i])
+    for i, panel in enumerate(imagined):
+        _log_image(recording, f"world/imagined_{i}", panel.image, panel.camera)
+    _log_trace(recording, trace)
+    winner = gripper_strip(grasps.T_world_grasp[:1]).cpu().numpy()
+    label = f"value {float(grasps.value[0]):.2f}"
+    recording.log("world/grasp", rr.LineStrips3D(winner, colors=[_WINNER], radii=[0.004], labels=[label]), static=True)
+    recording.flush()
+    recording.disconnect()
+
+
+def _log_image(recording: rr.RecordingStream, entity: str, image: Tensor, camera: Camera) -> None:
+    T = camera.T_world_camera.detach().cpu().numpy()
+    recording.log(entity, rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]), static=True)
+    pinhole = rr.Pinhole(
+        image_from_camera=camera.intrinsics.detach().cpu().numpy(),
+        resolution=[camera.width, camera.height],
+        camera_xyz=rr.ViewCoordinates.RDF,
+        image_plane_distance=0.1,
+    )
+    pixels = (image.detach().clamp(0.0, 1.0) * 255).round().byte().cpu().numpy()
+    recording.log(entity, pinhole, static=True)
+    recording.log(f"{entity}/image", rr.Image(pixels), static=True)
+
+
+def _log_trace(recording: rr.RecordingStream, trace: Trace) -> None:
+    shown = trace.value[-1].nan_to_num(-torch.inf).topk(min(MOST_CANDIDATES, trace.value.shape[1])).indices
+    strips = gripper_strip(trace.T_world_grasp[:, shown]).detach().cpu().numpy()
+    colours = _colours(trace.value[:, shown].detach().cpu().numpy())
+    for name, colour in _CURVES.items():
+        recording.log(f"value/{name}", rr.SeriesLines(colors=[colour], names=[name], widths=[2.0]), static=True)
+    for iteration, value in enumerate(trace.value.detach().cpu()):
+        recording.set_time(TIMELINE, sequence=iteration)
+        grippers = rr.LineStrips3D(strips[iteration], colors=colours[iteration], radii=[0.0007])
+        recording.log("world/candidates", grippers)
+        for name, number in (("best", value.max()), ("median", value.median())):
+            recording.log(f"value/{name}", rr.Scalars([float(number)]))
+    recording.reset_time()
+
+
+def _colours(value: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Colours `[I, P, 4]` of values `[I, P]`, one scale over all iterations, outliers cut."""
+    from matplotlib import colormaps
+
+    low, high = np.nanquantile(value, [0.05, 1.0])
+    share = np.clip((value - low) / max(high - low, 1e-6), 0.0, 1.0)
+    return (colormaps["viridis"](share) * 255).astype(np.uint8)
+
+
+def _size(workspace: Workspace) -> list[float]:
+    return (workspace.maximum - workspace.minimum).tolist()
+
+
+def _blueprint(views: int, imagined: int) -> rrb.Blueprint:
+    """The 3D view left; images (the grasp drawn over each) and curves right."""
+    names = [(f"world/camera_{i}", f"view {i + 1}") for i in range(views)]
+    names += [(f"world/imagined_{i}", f"imagined {i + 1}") for i in range(imagined)]
+    images = [
+        rrb.Spatial2DView(origin=origin, contents=["$origin/**", "world/grasp"], name=name) for origin, name in names
+    ]
+    curves = rrb.TimeSeriesView(origin="value", name="value (logit, comparable within this scene only)")
+    right = rrb.Vertical(rrb.Grid(*images), curves, row_shares=[2, 1])
+    space = rrb.Spatial3DView(origin="world", name="search")
+    layout = rrb.Horizontal(space, right, column_shares=[3, 2])
+    return rrb.Blueprint(layout, rrb.TimePanel(timeline=TIMELINE, state="expanded"), collapse_panels=True)
