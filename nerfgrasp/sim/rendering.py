@@ -46,7 +46,9 @@ def scene_lighting(seed: int, index: int) -> Lighting:
     direction = (np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar))
     grey, warmth = rng.uniform(0.62, 0.82), rng.uniform(0.0, 0.12)
     table = (float(grey), float(grey - warmth / 3), float(grey - warmth))
-    return Lighting((float(direction[0]), float(direction[1]), float(direction[2])), float(rng.uniform(0.5, 0.7)), table)
+    return Lighting(
+        (float(direction[0]), float(direction[1]), float(direction[2])), float(rng.uniform(0.5, 0.7)), table
+    )
 
 
 def render_scene(truth: Truth, camera: Camera) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:

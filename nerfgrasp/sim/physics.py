@@ -1,0 +1,74 @@
+"""The frozen constants of the physics. A change of any of them changes every result, and the hash."""
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+
+from nerfgrasp.sim.gripper import ROBOTIQ_2F85, Gripper
+
+
+@dataclass(frozen=True)
+class Physics:
+    """How grasps are carried out and judged. Metres, seconds, newtons."""
+
+    time_step: float = 1 / 240
+    """Of the simulation."""
+    solver_iterations: int = 150
+    """A step."""
+    gravity: float = 9.81
+    """Downwards."""
+    object_friction: float = 0.5
+    """Of objects; PyBullet multiplies the coefficients of the two bodies in touch."""
+    pad_friction: float = 0.7
+    """Of the gripper's pads."""
+    table_friction: float = 1.0
+    """Of the table."""
+    rolling_friction: float = 1e-4
+    """Of objects; without any, round ones roll for ever."""
+    hand_force: float = 300.0
+    """The most with which the hand is held on its path."""
+    closing_force: float = 40.0
+    """Of each finger."""
+    gear_force: float = 50.0
+    """The most with which the fingers are kept centred."""
+    gear_erp: float = 0.1
+    """How much of the fingers' difference is mended a step."""
+    approach_distance: float = 0.075
+    """From the pre-grasp to the grasp, along the approach."""
+    approach_speed: float = 0.25
+    """Of the hand on its way to the grasp."""
+    approach_force: float = 5.0
+    """More than this against an object or the table on that way is a collision."""
+    finger_speed: float = 0.1
+    """Of each finger."""
+    close_time: float = 0.6
+    """For closing and settling."""
+    lift_height: float = 0.1
+    """Straight up."""
+    lift_speed: float = 0.2
+    """Of the hand on its way up."""
+    hold_time: float = 1.0
+    """After the lift, before the outcome is judged."""
+    success_height: float = 0.05
+    """By which the object's centre of mass must have risen."""
+    rest_speed: float = 0.01
+    """Slower objects rest (m/s)."""
+    rest_time: float = 0.25
+    """Between tests of rest."""
+    rest_tests: int = 8
+    """At most, before the attempt goes on anyhow."""
+
+
+PHYSICS = Physics()
+"""The values of every reported result."""
+
+
+def physics_hash(physics: Physics = PHYSICS, gripper: Gripper = ROBOTIQ_2F85) -> str:
+    """Returns 16 hexadecimal digits that change with any constant of the physics or of the gripper.
+
+    Example:
+        >>> physics_hash() == physics_hash(Physics()) != physics_hash(Physics(object_friction=0.4))
+        True
+    """
+    text = json.dumps([asdict(physics), asdict(gripper)], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
