@@ -9,10 +9,26 @@ os.environ.setdefault("HF_HUB_OFFLINE", "1")
 # No window and no warning about one.
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 import pytest
 import torch
 
-from nerfgrasp.scenes.scene import Workspace
+from nerfgrasp.geometry import (
+    Camera,
+    box_intersection,
+    invert,
+    look_at,
+    make_pose,
+    pixel_centres,
+    pixel_rays,
+    transform,
+)
+from nerfgrasp.scenes.prisms import Prism
+from nerfgrasp.scenes.scene import Truth, Workspace
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -24,3 +40,104 @@ def _few_threads() -> None:
 def workspace() -> Workspace:
     """A box that is no cube and not centred, so that mixed-up axes and corners show."""
     return Workspace(torch.tensor([-0.25, -0.2, 0.0]), torch.tensor([0.25, 0.3, 0.2]))
+
+
+@pytest.fixture(scope="session")
+def cameras() -> Callable[..., Camera]:
+    """Returns a function of a number of views, a size and a seed: cameras about the workspace, all different."""
+
+    def make(views: int, size: int = 32, seed: int = 0) -> Camera:
+        rng = np.random.default_rng(seed)
+        azimuth, polar = 2.0 * np.arange(views) + rng.uniform(-0.5, 0.5, views), rng.uniform(0.6, 1.0, views)
+        around = [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)]
+        eyes = torch.from_numpy(0.8 * np.stack(around, axis=-1)).float()
+        f, c = 0.9 * size, size / 2
+        intrinsics = torch.tensor([[f, 0.0, c], [0.0, f, c], [0.0, 0.0, 1.0]]).repeat(views, 1, 1)
+        return Camera(intrinsics, look_at(eyes, torch.zeros(3)), size, size)
+
+    return make
+
+
+def _box(rng: np.random.Generator) -> tuple[Prism, torch.Tensor]:
+    """A box on the table and the grasp across its narrow side, from above."""
+    x, y, height = 0.03, 0.08, 0.08
+    corners = ((-x, -y), (x, -y), (x, y), (-x, y))
+    yaw, place = rng.uniform(0, np.pi), torch.tensor([*rng.uniform(-0.1, 0.1, 2), 0.0]).float()
+    c, s = float(np.cos(yaw)), float(np.sin(yaw))
+    turn = torch.tensor([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    colour = tuple(float(share) for share in rng.permutation([0.9, 0.2, 0.1]))
+    prism = Prism("box", (corners,), height, colour, 400.0, make_pose(turn, place))
+    down = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
+    return prism, make_pose(turn @ down, place + torch.tensor([0.0, 0.0, height - 0.02]))
+
+
+def _pictures(camera: Camera, box: Prism) -> tuple[np.ndarray, np.ndarray]:
+    """Ray-casts a box on a chequered table: images `[V, H, W, 3]` and masks `[V, H, W]`, uint8."""
+    pixels = pixel_centres(camera.width, camera.height).flatten(0, 1).expand(len(camera), -1, 2)
+    origins, directions = pixel_rays(camera, pixels)
+    T_object_world = invert(box.T_world_object)
+    corner = torch.tensor([*box.parts[0][2], box.height])
+    least = torch.tensor([*box.parts[0][0], 0.0])
+    turned = directions @ T_object_world[:3, :3].T
+    near, far = box_intersection(transform(T_object_world, origins), turned, least, corner)
+    on_table = origins - directions * (origins[..., 2:] / directions[..., 2:])
+    light = ((on_table[..., :2] * 10).floor().sum(-1, keepdim=True) % 2 == 0).float()
+    hit = (far > near)[..., None]
+    colour = torch.where(hit, torch.tensor(box.colour), 0.6 + 0.2 * light.expand(-1, -1, 3))
+    shape = (len(camera), camera.height, camera.width)
+    return (colour * 255).round().byte().view(*shape, 3).numpy(), hit.byte().view(shape).numpy()
+
+
+@pytest.fixture(scope="session")
+def make_set(cameras: Callable[..., Camera]) -> Callable[..., Path]:
+    """Returns a function that packs a set without a simulator: a coloured box a scene, seen by several views.
+
+    The last scene has no demonstrated grasp.
+    """
+    from nerfgrasp.data.packed import PackedWriter
+    from nerfgrasp.data.settings import SetSettings
+
+    def make(folder: Path, *, scenes: int = 4, views: int = 6, seed: int = 5, size: int = 32, **more: Any) -> Path:
+        settings = SetSettings("simple", seed, scenes, views, size, **{"demonstrations": False, "physics": "", **more})
+        writer = PackedWriter(folder, settings)
+        writer.prepare(Workspace())
+        for index in range(scenes):
+            box, grasp = _box(np.random.default_rng((seed, index)))
+            camera = cameras(views, size, seed=100 * seed + index)
+            truth = Truth("simple", seed, index, (box,), None if index == scenes - 1 else grasp)
+            writer.write(index, *_pictures(camera, box), camera, truth)
+        return folder
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def packed_set(make_set: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A set of 4 scenes, 6 views, 32 pixels, for reading only."""
+    return make_set(tmp_path_factory.mktemp("packed") / "set")
+
+
+@pytest.fixture(scope="session")
+def tiny_network() -> Callable[..., Any]:
+    """Returns a function that makes an `MVNeRFConfig` of a network that computes in no time."""
+    from nerfgrasp.models import EncoderConfig, FieldConfig, MVNeRFConfig
+
+    def make(**changes: Any) -> MVNeRFConfig:
+        encoder = EncoderConfig(
+            vit="vit_tiny_patch16_224",
+            pretrained=False,
+            vit_size=32,
+            vit_options={"depth": 4, "embed_dim": 24, "num_heads": 2},
+            taps=(0, 1, 2, 3),
+            tap_channels=8,
+            vit_channels=8,
+            stem_channels=16,
+            conv_channels=16,
+            conv_blocks=1,
+            upsample=False,
+        )
+        field = FieldConfig(width=16, view_blocks=1, fused_blocks=3, position_frequencies=4, direction_frequencies=2)
+        defaults = {"encoder": encoder, "coarse": field, "fine": field, "coarse_samples": 6, "fine_samples": 6}
+        return MVNeRFConfig(**{**defaults, **changes})
+
+    return make

@@ -2,11 +2,13 @@
 
 import time
 import warnings
+import zipfile
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import lightning
+from jsonargparse import ActionConfigFile
 from lightning import Callback, LightningModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint, TQDMProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
@@ -19,6 +21,10 @@ from nerfgrasp.models.folder import save_model
 
 MODEL_FOLDER = "model"
 """Where under a run's folder the trained model is written."""
+CHECKPOINT_FOLDER = "checkpoints"
+"""Where under it the checkpoints are: the same place for a run that is resumed, so that `last` finds its own."""
+CHECKPOINT_WORDS = ("best", "last", "hpc")
+"""What `--ckpt_path` may say other than a file's name."""
 MEASURED_STEPS = 20
 """So many steps are timed before the run's length is told."""
 
@@ -39,17 +45,27 @@ class Command(LightningCLI):
     def init_parser(self, **kwargs: Any) -> Parser:
         """Returns the parser of one verb."""
         parser = Parser(**kwargs)
-        parser.add_argument("-c", "--config", action=lightning.pytorch.cli.ActionConfigFile, help="a config; may be repeated")
+        parser.add_argument("-c", "--config", action=ActionConfigFile, help="a config; may be repeated")
         return parser
 
+    def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
+        """Parses, and refuses a checkpoint that cannot be read."""
+        super().parse_arguments(parser, args)
+        _check_checkpoint(self.config[self.config["subcommand"]].get("ckpt_path"))
+
+    def before_instantiate_classes(self) -> None:
+        """Puts the checkpoints into the run's folder, if the config says nothing else."""
+        config = self.config[str(self.subcommand)]
+        if config["checkpoint"]["dirpath"] is None and config["trainer"]["default_root_dir"] is not None:
+            config["checkpoint"]["dirpath"] = str(Path(config["trainer"]["default_root_dir"]) / CHECKPOINT_FOLDER)
+
     def before_fit(self) -> None:
-        """Makes the data sets that are not there, and says what is to come."""
-        self._prepare()
-        print(f"{self.trainer.max_steps} steps; the run's folder is {self.trainer.default_root_dir}", flush=True)
+        """Says what is to come, and makes the data sets that are not there."""
+        self._prepare("fit")
 
     def before_validate(self) -> None:
-        """Makes the data sets that are not there."""
-        self._prepare()
+        """Makes the data set if it is not there."""
+        self._prepare("validate")
 
     before_test = before_validate
 
@@ -61,11 +77,18 @@ class Command(LightningCLI):
         save_model(folder, self.model.network)
         print(f"the model is in {folder}")
 
-    def _prepare(self) -> None:
+    def _prepare(self, stage: str) -> None:
         _check_views(self.model, self.datamodule)
+        sets: list[SceneSet] = []
         if isinstance(self.datamodule, StepDataModule):
-            for scenes in self.datamodule.sets():
-                _make(scenes)
+            self.datamodule.check()
+            sets = self.datamodule.sets(stage)
+        if stage == "fit":
+            gigabytes = sum(_image_bytes(scenes) for scenes in sets) / 1e9
+            where = f"the run's folder is {self.trainer.default_root_dir}"
+            print(f"{self.trainer.max_steps} steps; data of {gigabytes:.2g} GB; {where}", flush=True)
+        for scenes in sets:
+            _make(scenes)
 
 
 class ExpectedTime(Callback):
@@ -91,20 +114,28 @@ def main(verb: str, args: list[str]) -> None:
 
     Raises:
         UserError: a config is not found or does not fit, or a data set cannot be made.
+        KeyboardInterrupt: the user ended it.
     """
     keep_freed_memory()
     warnings.filterwarnings("ignore", message="LightningCLI's args parameter")
-    Command(
-        args=[verb, *shipped_configs(args)],
-        seed_everything_default=0,
-        save_config_kwargs={"overwrite": True},
-        parser_kwargs={name: {"prog": f"nerfgrasp {name}"} for name in ("fit", "validate", "test")},
-        trainer_defaults={
-            "callbacks": [ExpectedTime(), TQDMProgressBar(refresh_rate=10)],
-            "check_val_every_n_epoch": None,
-            "num_sanity_val_steps": 0,
-        },
-    )
+    warnings.filterwarnings("ignore", message="Checkpoint directory .* exists and is not empty")  # a resumed run's
+    try:
+        Command(
+            args=[verb, *shipped_configs(args)],
+            seed_everything_default=0,
+            save_config_kwargs={"overwrite": True},
+            parser_kwargs={name: {"prog": f"nerfgrasp {name}"} for name in ("fit", "validate", "test")},
+            trainer_defaults={
+                "callbacks": [ExpectedTime(), TQDMProgressBar(refresh_rate=10)],
+                "check_val_every_n_epoch": None,
+                "num_sanity_val_steps": 0,
+            },
+        )
+    except SystemExit as done:
+        # The Trainer tidies up after an interrupt and then exits as if something had failed.
+        if isinstance(done.__context__, KeyboardInterrupt):
+            raise KeyboardInterrupt from done
+        raise
 
 
 def shipped_configs(args: list[str]) -> list[str]:
@@ -113,15 +144,15 @@ def shipped_configs(args: list[str]) -> list[str]:
     Raises:
         UserError: there is no such file, neither here nor among those shipped.
     """
-    found, config_follows = [], False
-    for argument in args:
-        if config_follows:
-            argument = _find_config(argument)
-        elif argument.startswith("--config="):
-            argument = "--config=" + _find_config(argument.removeprefix("--config="))
-        config_follows = argument in ("--config", "-c")
-        found.append(argument)
-    return found
+    return [_with_config_found(before, argument) for before, argument in pairwise(["", *args])]
+
+
+def _with_config_found(before: str, argument: str) -> str:
+    if before in ("--config", "-c"):
+        return _find_config(argument)
+    if argument.startswith("--config="):
+        return "--config=" + _find_config(argument.removeprefix("--config="))
+    return argument
 
 
 def _find_config(name: str) -> str:
@@ -140,6 +171,19 @@ def _check_views(module: LightningModule, data: Any) -> None:
     backbone = getattr(config, "backbone", config)
     if backbone is not None and getattr(data, "views", backbone.views) != backbone.views:
         raise UserError(f"data.init_args.views is {data.views}, but the network sees {backbone.views} views")
+
+
+def _check_checkpoint(name: Any) -> None:
+    if name is None or name in CHECKPOINT_WORDS:
+        return
+    if not Path(name).is_file():
+        raise UserError(f"--ckpt_path: no such file: {name} (nor is it one of {', '.join(CHECKPOINT_WORDS)})")
+    if not zipfile.is_zipfile(name):
+        raise UserError(f"--ckpt_path: {name} is damaged or no checkpoint")
+
+
+def _image_bytes(scenes: SceneSet) -> int:
+    return 4 * scenes.scenes * scenes.views * scenes.size**2  # RGB and the mask
 
 
 def _make(scenes: SceneSet) -> None:

@@ -11,7 +11,8 @@ from torch.utils.data import DataLoader, Dataset
 
 from nerfgrasp.data.packed import PackedScenes
 from nerfgrasp.data.rays import input_views
-from nerfgrasp.data.streams import SceneSet, StepDataModule
+from nerfgrasp.data.streams import SceneSet, StepDataModule, check_enough
+from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import Camera, make_pose
 from nerfgrasp.scenes.scene import Workspace
 
@@ -93,14 +94,25 @@ class GraspData(StepDataModule):
         self.negatives, self.random_views = negatives, random_views
         self.seed, self.workers = seed, workers
 
-    def sets(self) -> list[SceneSet]:
-        """Returns the training and the validation set."""
-        return [self.train_set, self.validation_set]
+    def check(self) -> None:
+        """See `StepDataModule`."""
+        super().check()
+        for name, scenes in (("train", self.train_set), ("validation", self.validation_set)):
+            if not scenes.demonstrations:
+                raise UserError(f"data.init_args.{name}: demonstrations is false: a grasp value learns from them")
+            check_enough(f"data.init_args.{name}", "views", self.views, scenes.views)
 
     def setup(self, stage: str) -> None:
-        """Opens the sets."""
+        """Opens the sets.
+
+        Raises:
+            UserError: one is missing or damaged, or too few scenes have a demonstrated grasp.
+        """
         self.train_scenes = self.train_set.open() if stage == "fit" else None
         self.train_grasps = demonstrations(self.train_scenes) if self.train_scenes is not None else {}
+        if self.train_scenes is not None:
+            what = "scenes with a demonstrated grasp"
+            check_enough(str(self.train_set.folder), what, self.scenes_per_step, len(self.train_grasps))
         self.held_out = self.validation_set.open()
 
     def draw(self, generator: np.random.Generator) -> GraspBatch:

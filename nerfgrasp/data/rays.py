@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from nerfgrasp.data.packed import PackedScenes
-from nerfgrasp.data.streams import SceneSet, StepDataModule
+from nerfgrasp.data.streams import SceneSet, StepDataModule, check_enough
 from nerfgrasp.geometry import Camera, box_intersection, pixel_rays
 
 
@@ -95,9 +95,13 @@ class RayData(StepDataModule):
         self.validation_scenes, self.validation_targets = validation_scenes, validation_targets
         self.seed, self.workers = seed, workers
 
-    def sets(self) -> list[SceneSet]:
-        """Returns the training and the validation set."""
-        return [self.train_set, self.validation_set]
+    def check(self) -> None:
+        """See `StepDataModule`."""
+        super().check()
+        check_enough("data.init_args.train", "scenes", self.scenes_per_step, self.train_set.scenes)
+        check_enough("data.init_args.train", "views", self.views + self.target_views, self.train_set.views)
+        held_out_views = self.views + self.validation_targets
+        check_enough("data.init_args.validation", "views", held_out_views, self.validation_set.views)
 
     def setup(self, stage: str) -> None:
         """Opens the sets."""

@@ -9,6 +9,8 @@ import numpy as np
 from lightning import LightningDataModule
 from torch.utils.data import DataLoader, IterableDataset
 
+from nerfgrasp.errors import UserError
+
 if TYPE_CHECKING:
     from nerfgrasp.data.packed import PackedScenes
 
@@ -61,16 +63,27 @@ class StepStream(IterableDataset[Batch]):
 class StepDataModule(LightningDataModule):
     """A data module whose training batches are drawn anew for every step, starting at the trainer's.
 
-    Subclasses give `draw(generator)`, `sets()` and a validation loader.
+    Subclasses give `draw(generator)` and a validation loader, and extend `check`.
     """
 
+    train_set: SceneSet
+    validation_set: SceneSet
     seed: int
     workers: int
     """Processes that draw batches beside the training (0 or 1); they change nothing in what is drawn."""
 
-    def sets(self) -> list[SceneSet]:
-        """Returns the sets that the module reads, so that missing ones can be made."""
-        raise NotImplementedError
+    def sets(self, stage: str = "fit") -> list[SceneSet]:
+        """Returns the sets that a stage (`fit`, `validate`, `test`) reads, so that missing ones can be made."""
+        return [self.train_set, self.validation_set] if stage == "fit" else [self.validation_set]
+
+    def check(self) -> None:
+        """Compares what is drawn with what the sets hold, before any is made or opened.
+
+        Raises:
+            UserError: a set has too few scenes or views, or there are too many workers.
+        """
+        if self.workers not in (0, 1):
+            raise UserError(f"data.init_args.workers is {self.workers}: it must be 0 or 1")
 
     def draw(self, generator: np.random.Generator) -> object:
         """Returns one training batch."""
@@ -86,3 +99,13 @@ class StepDataModule(LightningDataModule):
         # Forked, so that the open sets need not be pickled.
         context = "fork" if self.workers else None
         return DataLoader(stream, batch_size=None, num_workers=self.workers, multiprocessing_context=context)
+
+
+def check_enough(where: str, what: str, needed: int, there: int) -> None:
+    """Refuses a set that is too small.
+
+    Raises:
+        UserError: there are fewer of `what` than needed at once; the message begins with `where`.
+    """
+    if there < needed:
+        raise UserError(f"{where}: {needed} {what} are needed at once, the set has {there}")

@@ -1,14 +1,18 @@
 """Image features: a vision transformer for the whole image, a convolution branch for the detail."""
 
+import pickle
 from dataclasses import dataclass, field
+from difflib import get_close_matches
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import torch
+from safetensors import SafetensorError
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
-from nerfgrasp.errors import UserError
+from nerfgrasp.errors import UserError, unknown_name
 
 
 @dataclass(frozen=True)
@@ -45,13 +49,17 @@ class Encoder(nn.Module):
     Source: VisionNeRF (Lin et al. 2023) as the paper's supplement draws it.
 
     Raises:
-        UserError: the transformer's name is unknown to timm, or its weights cannot be had.
+        UserError: the transformer's name is unknown to timm, it has no such options or blocks, or its weights
+            cannot be had.
     """
+
+    statistics: Tensor
 
     def __init__(self, config: EncoderConfig) -> None:
         super().__init__()
         self.config = config
         self.vit = _create_vit(config)
+        _check_taps(config.taps, len(self.vit.blocks))
         self.taps = nn.ModuleList(_tap(self.vit.embed_dim, config.tap_channels, level) for level in range(4))
         self.merge = nn.Sequential(
             nn.ReLU(),
@@ -64,7 +72,7 @@ class Encoder(nn.Module):
             nn.Conv2d(3, config.stem_channels, 7, stride=2, padding=3),
             _norm(config.stem_channels),
             nn.ReLU(),
-            *(ResidualConv(a, b) for a, b in zip(widths, widths[1:], strict=False)),
+            *(ResidualConv(a, b) for a, b in pairwise(widths)),
         )
         statistics = torch.tensor([self.vit.default_cfg[key] for key in ("mean", "std")])
         self.register_buffer("statistics", statistics.view(2, 3, 1, 1), persistent=False)
@@ -130,7 +138,13 @@ def _tap(channels_in: int, channels: int, level: int) -> nn.Module:
     return nn.Sequential(nn.Conv2d(channels_in, channels, 1), resize, nn.Conv2d(channels, channels, 3, padding=1))
 
 
-def _create_vit(config: EncoderConfig) -> nn.Module:
+def _check_taps(taps: tuple[int, ...], depth: int) -> None:
+    if len(taps) != 4 or not all(0 <= tap < depth for tap in taps) or sorted(set(taps)) != list(taps):
+        given = list(taps)
+        raise UserError(f"encoder.taps: {given}: they must be four blocks, from 0 to {depth - 1}, in ascending order")
+
+
+def _create_vit(config: EncoderConfig) -> Any:
     import timm  # imported late: it takes seconds, and a config alone does not need it
 
     options: dict[str, Any] = {"img_size": config.vit_size, "num_classes": 0, "global_pool": "", **config.vit_options}
@@ -139,13 +153,14 @@ def _create_vit(config: EncoderConfig) -> nn.Module:
             raise UserError(f"encoder.pretrained: no such file: {config.pretrained}")
         options["pretrained_cfg_overlay"] = {"file": config.pretrained}
     if not timm.is_model(config.vit):
-        from nerfgrasp.errors import unknown_name
-
-        raise unknown_name("timm model", config.vit, timm.list_models("*vit*"))
+        near = get_close_matches(config.vit, timm.list_models("vit_*"), n=5)
+        raise unknown_name("timm model", config.vit, near or ["vit_tiny_patch16_224", "vit_base_patch16_224"])
     try:
         vit = timm.create_model(config.vit, pretrained=bool(config.pretrained), **options)
-    except (OSError, RuntimeError) as error:
-        reason = str(error).splitlines()[0]
+    except TypeError as error:
+        raise UserError(f"encoder.vit_options: {config.vit}: {error}") from error
+    except (OSError, RuntimeError, EOFError, KeyError, pickle.UnpicklingError, SafetensorError) as error:
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
         raise UserError(
             f"encoder.pretrained: cannot load weights for {config.vit} ({reason}); give a local file, or false "
             "for a random start"

@@ -2,24 +2,26 @@
 
 import hashlib
 import json
-import os
 from dataclasses import asdict, fields, is_dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
+import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
-from torch import nn
+from torch import Tensor, nn
 
 from nerfgrasp.errors import UserError, unknown_name
+from nerfgrasp.files import make_folder, read_json, replacing
 from nerfgrasp.models.grasp_value import GraspValue, GraspValueConfig
 from nerfgrasp.models.mvnerf import MVNeRF, MVNeRFConfig
 
 DEFAULT_MODEL = "mv3-laptop"
 """The shipped model that `nerfgrasp optimize` uses if no other is named."""
 
-_KINDS: dict[str, tuple[type[nn.Module], type]] = {
+_CONFIG, _WEIGHTS = "config.json", "model.safetensors"
+_KINDS: dict[str, tuple[type[MVNeRF | GraspValue], type[Any]]] = {
     "grasp_value": (GraspValue, GraspValueConfig),
     "mvnerf": (MVNeRF, MVNeRFConfig),
 }
@@ -29,13 +31,16 @@ _METHOD = "psi"
 Config = TypeVar("Config")
 
 
-def save_model(folder: Path, model: MVNeRF | GraspValue, *, dtype: Any = None) -> None:
-    """Writes a model folder, each file under a temporary name first.
+def save_model(folder: Path, model: MVNeRF | GraspValue, *, dtype: torch.dtype | None = None) -> None:
+    """Writes a model folder; a model that is there already stays until all of the new one is written.
 
     Args:
         folder: made if it is not there.
         model: what to keep, backbone included.
         dtype: the weights' type in the file, e.g. `torch.float16`; as they are if None.
+
+    Raises:
+        UserError: the folder cannot be written.
     """
     kind = next(name for name, (module, _) in _KINDS.items() if type(model) is module)
     header: dict[str, Any] = {"format": 1, "kind": kind}
@@ -45,11 +50,10 @@ def save_model(folder: Path, model: MVNeRF | GraspValue, *, dtype: Any = None) -
     state = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state_dict().items()}
     if dtype is not None:
         state = {name: tensor.to(dtype) if tensor.is_floating_point() else tensor for name, tensor in state.items()}
-    folder.mkdir(parents=True, exist_ok=True)
-    save_file(state, folder / "model.safetensors.part")
-    (folder / "config.json.part").write_text(json.dumps(config, indent=2) + "\n")
-    for name in ("model.safetensors", "config.json"):
-        os.replace(folder / f"{name}.part", folder / name)
+    make_folder(folder)
+    with replacing(folder / _CONFIG) as config_file, replacing(folder / _WEIGHTS) as weights_file:
+        config_file.write_text(json.dumps(config, indent=2) + "\n")
+        _save_weights(state, weights_file)
 
 
 def load_model(name: str | Path) -> MVNeRF | GraspValue:
@@ -62,18 +66,17 @@ def load_model(name: str | Path) -> MVNeRF | GraspValue:
         UserError: there is no such model, or a file of it is missing, truncated or of another shape.
     """
     folder = find_model(str(name))
-    config = _read_config(folder)
+    config = read_json(folder / _CONFIG)
     kind, plain = config.get("kind"), config.get("config")
     if kind not in _KINDS or not isinstance(plain, dict):
-        raise UserError(f"{folder / 'config.json'}: no model of a known kind ({', '.join(sorted(_KINDS))})")
+        raise UserError(f"{folder / _CONFIG}: no model of a known kind ({', '.join(sorted(_KINDS))})")
     module, config_class = _KINDS[kind]
     try:
-        built = from_plain(config_class, _without_pretrained(plain))
-        model = module(built)
-    except (TypeError, ValueError, KeyError) as error:
-        raise UserError(f"{folder / 'config.json'}: {error}") from error
-    _load_weights(model, folder / "model.safetensors")
-    return model.eval()  # type: ignore[return-value]
+        model = module(from_plain(config_class, _without_pretrained(plain)))
+    except (UserError, TypeError, ValueError, RuntimeError) as error:
+        raise UserError(f"{folder / _CONFIG}: {error}") from error
+    _load_weights(model, folder / _WEIGHTS)
+    return model.eval()
 
 
 def find_model(name: str) -> Path:
@@ -85,7 +88,7 @@ def find_model(name: str) -> Path:
     if Path(name).is_dir():
         return Path(name)
     shipped = Path(str(files("nerfgrasp"))) / "assets" / "models"
-    if (shipped / name / "config.json").is_file():
+    if (shipped / name / _CONFIG).is_file():
         return shipped / name
     choices = [folder.name for folder in shipped.iterdir() if folder.is_dir()] if shipped.is_dir() else []
     if name.count("/") != 1 or name.startswith((".", "/")):
@@ -106,33 +109,25 @@ def from_plain(config_class: type[Config], plain: dict[str, Any]) -> Config:
     """Builds a (nested) config dataclass from plain JSON data.
 
     Raises:
-        ValueError: a key is unknown.
+        ValueError: a key is unknown, or its value is of another type.
     """
     hints = get_type_hints(config_class)
     unknown = plain.keys() - {entry.name for entry in fields(config_class)}  # type: ignore[arg-type]
     if unknown:
         raise ValueError(f"unknown key {sorted(unknown)[0]!r} in {config_class.__name__}")
-    values = {key: _typed(hints[key], value) for key, value in plain.items()}
+    values = {key: _typed(f"{config_class.__name__}.{key}", hints[key], value) for key, value in plain.items()}
     return config_class(**values)
 
 
-def _typed(hint: Any, value: Any) -> Any:
-    if is_dataclass(hint) and isinstance(value, dict):
-        return from_plain(hint, value)  # type: ignore[arg-type]
+def _typed(name: str, hint: Any, value: Any) -> Any:
+    if isinstance(hint, type) and is_dataclass(hint) and isinstance(value, dict):
+        return from_plain(hint, value)
+    if hint is float and type(value) is int:
+        return float(value)
+    # A bool is an int to `isinstance`, but not to us.
+    if isinstance(hint, type) and type(value) is not hint:
+        raise ValueError(f"{name} is {value!r}, not of type {hint.__name__}")
     return tuple(value) if isinstance(value, list) else value
-
-
-def _read_config(folder: Path) -> dict[str, Any]:
-    path = folder / "config.json"
-    try:
-        config = json.loads(path.read_text())
-    except FileNotFoundError:
-        raise UserError(f"{folder}: no model folder: config.json is missing") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: not JSON ({error})") from error
-    if not isinstance(config, dict):
-        raise UserError(f"{path}: not a JSON object")
-    return config
 
 
 def _without_pretrained(plain: dict[str, Any]) -> dict[str, Any]:
@@ -144,25 +139,33 @@ def _without_pretrained(plain: dict[str, Any]) -> dict[str, Any]:
     return {**copy, "pretrained": False} if "pretrained" in copy else copy
 
 
+def _save_weights(state: dict[str, Tensor], path: Path) -> None:
+    try:
+        save_file(state, path)
+    except SafetensorError as error:  # a full disk comes as this, not as an OSError
+        raise UserError(f"cannot write {path.parent}: {error}") from error
+
+
 def _load_weights(model: nn.Module, path: Path) -> None:
     try:
         state = load_file(path)
     except FileNotFoundError:
-        raise UserError(f"{path}: the weights are missing") from None
+        raise UserError(f"{path}: no such file") from None
     except (SafetensorError, OSError) as error:
-        raise UserError(f"{path}: damaged or truncated ({error})") from error
+        raise UserError(f"{path} is damaged or truncated: {error}") from error
     try:
         model.load_state_dict(state)
     except RuntimeError as error:
         reason = str(error).splitlines()[1].strip() if "\n" in str(error) else str(error)
-        raise UserError(f"{path}: the weights do not fit config.json: {reason}") from error
+        raise UserError(f"{path} does not fit {_CONFIG}: {reason}") from error
 
 
 def _fetch(repository: str) -> Path:
     from huggingface_hub import snapshot_download
 
     try:
-        return Path(snapshot_download(repository, allow_patterns=["config.json", "model.safetensors"]))
+        return Path(snapshot_download(repository, allow_patterns=[_CONFIG, _WEIGHTS]))
     except Exception as error:  # the hub's client raises many kinds; to the user they are one
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise UserError(f"no folder {repository!r}, and it cannot be fetched from the Hugging Face Hub: {reason}") from error
+        hub = "it cannot be fetched from the Hugging Face Hub"
+        raise UserError(f"no folder {repository!r}, and {hub}: {reason}") from error

@@ -35,6 +35,9 @@ class GraspValue(nn.Module):
     Source: the paper, section III-B, and its supplementary diagrams.
     """
 
+    rays: Tensor
+    steps: Tensor
+
     def __init__(self, config: GraspValueConfig) -> None:
         super().__init__()
         self.config = config
@@ -42,8 +45,9 @@ class GraspValue(nn.Module):
         count, width = self.backbone.fine.activation_count, config.backbone.fine.width
         self.reduce = nn.ModuleList(nn.Linear(width, config.activation_width) for _ in range(count))
         self.fuse = nn.Linear(count * config.activation_width, config.pose_width)
+        poses = len(probe_rays()) * len(probe_steps())
         self.blocks = nn.Sequential(
-            ReadoutBlock(probe_steps().numel() * len(probe_rays()) * config.pose_width, config.hidden_width, config.output_width),
+            ReadoutBlock(poses * config.pose_width, config.hidden_width, config.output_width),
             ReadoutBlock(config.output_width, config.output_width, config.output_width),
         )
         self.readout = nn.Linear(config.output_width, 1)
@@ -126,9 +130,7 @@ def probe_rays() -> Tensor:
     viewing ray along each z axis makes the 5-DoF poses at which the backbone is asked.
     """
     along = [_ray((0.0, y, 0.0), 0.0) for y in (0.015, -0.015)]
-    inward = [
-        _ray((x, y, 0.0125), -math.copysign(math.pi / 2, x)) for x in (0.02, -0.02) for y in (0.015, -0.015)
-    ]
+    inward = [_ray((x, y, 0.0125), -math.copysign(math.pi / 2, x)) for x in (0.02, -0.02) for y in (0.015, -0.015)]
     return torch.stack(along + inward)
 
 

@@ -49,9 +49,7 @@ def composite(colour: Tensor, density: Tensor, distances: Tensor) -> Rendering:
     passed = torch.cumsum(optical[..., :-1], dim=-1)
     transmittance = torch.exp(-torch.cat([torch.zeros_like(passed[..., :1]), passed], dim=-1))
     weights = transmittance * -torch.expm1(-optical)
-    return Rendering(
-        (weights[..., None] * colour).sum(dim=-2), (weights * distances).sum(dim=-1), weights, distances
-    )
+    return Rendering((weights[..., None] * colour).sum(dim=-2), (weights * distances).sum(dim=-1), weights, distances)
 
 
 def stratified(near: Tensor, far: Tensor, count: int, generator: torch.Generator | None = None) -> Tensor:
@@ -87,9 +85,7 @@ def importance(rendering: Rendering, count: int, generator: torch.Generator | No
     return start + share.clamp(0.0, 1.0) * (end - start)
 
 
-def render_rays(
-    field: RadianceField, origins: Tensor, directions: Tensor, distances: Tensor
-) -> Rendering:
+def render_rays(field: RadianceField, origins: Tensor, directions: Tensor, distances: Tensor) -> Rendering:
     """Evaluates a field at `distances` `[B, R, S]` along rays `[B, R, 3]` and composites."""
     points = origins[..., None, :] + directions[..., None, :] * distances[..., None]
     colour, density = field(points, directions)

@@ -4,9 +4,10 @@ from typing import Any, Literal
 
 import torch
 from lightning import LightningModule
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
-from torchmetrics import MeanMetric
+from torchmetrics import MeanMetric, MetricCollection
 
 from nerfgrasp.data.grasps import GraspBatch
 from nerfgrasp.errors import UserError
@@ -56,7 +57,10 @@ class GraspValueTraining(LightningModule):
         self.backbone_hash = weights_hash(pretrained)
         self.loss, self.learning_rate, self.schedule = loss, learning_rate, schedule
         self.features = FeatureCache(self.network.backbone, enabled=cache_features)
-        self.held_out = torch.nn.ModuleDict({name: MeanMetric() for name in ("loss", "top1")})
+        # No compute groups: they would let metrics share what each counts by itself.
+        self.held_out = MetricCollection(
+            {"loss": MeanMetric(), "top1": MeanMetric()}, prefix="val/", compute_groups=False
+        )
 
     def train(self, mode: bool = True) -> "GraspValueTraining":
         """Sets the mode; the backbone stays in evaluation mode."""
@@ -81,14 +85,13 @@ class GraspValueTraining(LightningModule):
 
     def on_validation_epoch_end(self) -> None:
         """Logs the means over the held-out scenes."""
-        self.log_dict({f"val/{name}": metric.compute() for name, metric in self.held_out.items()}, prog_bar=True)
-        for metric in self.held_out.values():
-            metric.reset()
+        self.log_dict(self.held_out.compute(), prog_bar=True)
+        self.held_out.reset()
 
     test_step = validation_step
     on_test_epoch_end = on_validation_epoch_end
 
-    def configure_optimizers(self) -> dict[str, Any]:
+    def configure_optimizers(self) -> OptimizerLRScheduler:
         """Returns Adam on the readout."""
         optimizer = torch.optim.Adam(self.network.head_parameters(), lr=self.learning_rate)
         scheduler = torch.optim.lr_scheduler.LambdaLR(optimizer, self.schedule)

@@ -1,11 +1,10 @@
 """Pretraining an MVNeRF by reconstructing views that it has not seen."""
 
-from typing import Any
-
 import torch
 from lightning import LightningModule
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from torch import Tensor
-from torchmetrics import MeanMetric
+from torchmetrics import MeanMetric, MetricCollection
 from torchmetrics.functional.image import peak_signal_noise_ratio, structural_similarity_index_measure
 
 from nerfgrasp.data.rays import ImageBatch, RayBatch
@@ -41,7 +40,8 @@ class MVNeRFTraining(LightningModule):
         self.learning_rate, self.encoder_learning_rate = learning_rate, encoder_learning_rate
         self.schedule, self.seed = schedule, seed
         names = ("psnr", "psnr_objects", "ssim")
-        self.held_out = torch.nn.ModuleDict({name: MeanMetric() for name in names})
+        # No compute groups: they would let metrics share what each counts by itself.
+        self.held_out = MetricCollection({name: MeanMetric() for name in names}, prefix="val/", compute_groups=False)
 
     def training_step(self, batch: RayBatch, batch_idx: int) -> Tensor:
         """Returns the loss of one batch of rays."""
@@ -66,14 +66,13 @@ class MVNeRFTraining(LightningModule):
 
     def on_validation_epoch_end(self) -> None:
         """Logs the means over the held-out views."""
-        self.log_dict({f"val/{name}": metric.compute() for name, metric in self.held_out.items()}, prog_bar=True)
-        for metric in self.held_out.values():
-            metric.reset()
+        self.log_dict(self.held_out.compute(), prog_bar=True)
+        self.held_out.reset()
 
     test_step = validation_step
     on_test_epoch_end = on_validation_epoch_end
 
-    def configure_optimizers(self) -> dict[str, Any]:
+    def configure_optimizers(self) -> OptimizerLRScheduler:
         """Returns Adam with a rate for the encoder and one for the fields."""
         encoder = list(self.network.encoder.parameters())
         fields = [*self.network.coarse.parameters(), *self.network.fine.parameters()]

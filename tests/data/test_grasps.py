@@ -1,0 +1,169 @@
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import roma
+import torch
+from torch import Tensor
+
+from nerfgrasp.data.grasps import GraspBatch, GraspData, Negatives, demonstrations, draw_negatives, half_turned
+from nerfgrasp.data.packed import PackedScenes
+from nerfgrasp.data.rays import to_float
+from nerfgrasp.data.streams import SceneSet
+from nerfgrasp.errors import UserError
+from nerfgrasp.geometry import invert, is_rigid, make_pose
+from nerfgrasp.scenes.scene import Workspace
+
+NONE = Negatives(uniform=0, near=0)
+HALF_TURN = torch.diag(torch.tensor([-1.0, -1.0, 1.0, 1.0]))
+
+
+@pytest.fixture
+def grasp() -> Tensor:
+    rotation = roma.rotvec_to_rotmat(torch.tensor([3.0, 0.4, 0.2]))
+    return make_pose(rotation, torch.tensor([0.05, -0.1, 0.06]))
+
+
+def drawn(grasp: Tensor, workspace: Workspace, kinds: Negatives, seed: int = 0) -> Tensor:
+    found = draw_negatives(grasp, workspace, kinds, np.random.default_rng(seed))
+    assert is_rigid(found).all()
+    return found
+
+
+def shifts(grasp: Tensor, found: Tensor) -> Tensor:
+    return found[:, :3, 3] - grasp[:3, 3]
+
+
+def turns(grasp: Tensor, found: Tensor) -> Tensor:
+    """The angles in radians between the poses' orientations and the grasp's."""
+    return roma.rotmat_geodesic_distance(found[:, :3, :3], grasp[:3, :3].expand(len(found), 3, 3))
+
+
+def grasps(folder: Path, **changes: Any) -> GraspData:
+    scenes = SceneSet(folder, scenes=4, views=6, seed=5, size=32, demonstrations=True)
+    kinds = Negatives(uniform=5, near=2, upright=2, perturbed=2)
+    data = GraspData(scenes, scenes, **{"views": 2, "scenes_per_step": 3, "negatives": kinds, **changes})
+    data.check()
+    data.setup("fit")
+    return data
+
+
+def test_the_paper_s_512_poses(grasp: Tensor, workspace: Workspace) -> None:
+    assert len(drawn(grasp, workspace, Negatives())) == 511
+    assert len(drawn(grasp, workspace, Negatives(3, 4, 5, 6))) == 18
+    assert drawn(grasp, workspace, NONE).shape == (0, 4, 4)
+
+
+def test_uniform_negatives_fill_the_workspace_and_all_orientations(grasp: Tensor, workspace: Workspace) -> None:
+    found = drawn(grasp, workspace, Negatives(uniform=2000, near=0))
+    position = found[:, :3, 3]
+    assert (position >= workspace.minimum).all()
+    assert (position <= workspace.maximum).all()
+    middle = (workspace.minimum + workspace.maximum) / 2
+    torch.testing.assert_close(position.mean(0), middle, atol=0.01, rtol=0)
+    torch.testing.assert_close(found[:, :3, :3].mean(0), torch.zeros(3, 3), atol=0.06, rtol=0)
+    # The angle of a uniform rotation has the mean π/2 + 2/π.
+    assert turns(torch.eye(4), found).mean() == pytest.approx(np.pi / 2 + 2 / np.pi, abs=0.06)
+
+
+def test_near_negatives(grasp: Tensor, workspace: Workspace) -> None:
+    found = drawn(grasp, workspace, Negatives(uniform=0, near=500))
+    assert shifts(grasp, found).abs().max() <= 0.01
+    assert shifts(grasp, found).abs().max() > 0.009
+    assert turns(grasp, found).mean() > 1.5
+
+
+def test_upright_negatives_keep_the_tilt(grasp: Tensor, workspace: Workspace) -> None:
+    found = drawn(grasp, workspace, replace(NONE, upright=500))
+    torch.testing.assert_close(found[:, 2, :3], grasp[2, :3].expand(500, 3), atol=1e-5, rtol=0)
+    assert (found[:, :3, 3] >= workspace.minimum).all()
+    assert (found[:, :3, 3] <= workspace.maximum).all()
+    assert turns(grasp, found).max() > 2.5
+
+
+def test_perturbed_negatives_are_moved_or_turned_as_far_as_stated(grasp: Tensor, workspace: Workspace) -> None:
+    found = drawn(grasp, workspace, replace(NONE, perturbed=400))
+    moved, turned = found[::2], found[1::2]
+    distance = shifts(grasp, moved).norm(dim=-1)
+    assert 0.012 - 1e-5 <= distance.min() < 0.014
+    assert 0.046 < distance.max() <= 0.05 + 1e-5
+    assert turns(grasp, moved).max() < 2e-3
+    angle = turns(grasp, turned)
+    assert 0.3 - 1e-3 <= angle.min() < 0.35
+    assert 1.1 < angle.max() <= 1.2 + 1e-3
+    assert shifts(grasp, turned).abs().max() < 1e-6
+    about_approach = turned[::2]
+    torch.testing.assert_close(about_approach[:, :3, 2], grasp[:3, 2].expand(100, 3), atol=1e-5, rtol=0)
+
+
+def test_negatives_are_a_function_of_their_generator(grasp: Tensor, workspace: Workspace) -> None:
+    kinds = Negatives(3, 4, 5, 6)
+    assert torch.equal(drawn(grasp, workspace, kinds, 1), drawn(grasp, workspace, kinds, 1))
+    assert not torch.equal(drawn(grasp, workspace, kinds, 1), drawn(grasp, workspace, kinds, 2))
+
+
+def test_half_turned(grasp: Tensor) -> None:
+    found = half_turned(grasp.expand(200, 4, 4), np.random.default_rng(0))
+    same = (found == grasp).all(-1).all(-1)
+    turned = torch.isclose(found, grasp @ HALF_TURN, atol=1e-6).all(-1).all(-1)
+    assert (same ^ turned).all()
+    assert 70 < same.sum() < 130
+
+
+def test_scenes_without_a_demonstration_are_left_out(packed_set: Path) -> None:
+    scenes = PackedScenes(packed_set)
+    found = demonstrations(scenes)
+    assert sorted(found) == [0, 1, 2]
+    assert torch.equal(found[1], scenes.truth(1).demonstration)
+
+
+def test_a_batch(packed_set: Path) -> None:
+    scenes = PackedScenes(packed_set)
+    found = grasps(packed_set).draw(np.random.default_rng(3))
+    assert sorted(found.scene.tolist()) == [0, 1, 2]
+    assert found.view.shape == (3, 2)
+    assert found.T_world_grasp.shape == (3, 12, 4, 4)
+    assert found.camera().T_world_camera.shape == (3, 2, 4, 4)
+    for b, scene in enumerate(found.scene.tolist()):
+        shown = to_float(scenes.images[scene][found.view[b].numpy()])
+        assert torch.equal(found.images[b], shown)
+        assert torch.equal(found.T_world_camera[b], scenes.camera(scene).T_world_camera[found.view[b]])
+        demonstrated = scenes.truth(scene).demonstration
+        assert demonstrated is not None
+        relative = invert(demonstrated) @ found.T_world_grasp[b, 0]
+        assert min((relative - same).abs().max() for same in (torch.eye(4), HALF_TURN)) < 1e-5
+    again = grasps(packed_set).draw(np.random.default_rng(3))
+    assert all(torch.equal(one, other) for one, other in zip(found, again, strict=True))
+
+
+def test_views_are_random_or_the_first(packed_set: Path) -> None:
+    def views(random: bool) -> Tensor:
+        data = grasps(packed_set, random_views=random)
+        return torch.cat([data.draw(np.random.default_rng(seed)).view for seed in range(8)])
+
+    assert views(False).tolist() == [[0, 1]] * 24
+    assert set(views(True).flatten().tolist()) == set(range(6))
+    assert all(a != b for a, b in views(True).tolist())
+
+
+def test_held_out_negatives_are_the_same_every_time(packed_set: Path) -> None:
+    data = grasps(packed_set)
+    items: list[GraspBatch] = list(data.val_dataloader())
+    assert [item.scene.tolist() for item in items] == [[0], [1], [2]]
+    assert all(item.view.tolist() == [[0, 1]] for item in items)
+    assert items[0].T_world_grasp.shape == (1, 12, 4, 4)
+    for one, other in zip(items, data.val_dataloader(), strict=True):
+        assert torch.equal(one.T_world_grasp, other.T_world_grasp)
+    assert not torch.equal(items[0].T_world_grasp[0, 1:], items[1].T_world_grasp[0, 1:])
+
+
+def test_too_few_demonstrations_or_views_are_refused(packed_set: Path) -> None:
+    with pytest.raises(UserError, match="4 scenes with a demonstrated grasp are needed at once, the set has 3"):
+        grasps(packed_set, scenes_per_step=4)
+    with pytest.raises(UserError, match="train: 7 views are needed at once, the set has 6"):
+        grasps(packed_set, views=7)
+    plain = SceneSet(packed_set, scenes=4, views=6, seed=5)
+    with pytest.raises(UserError, match="data.init_args.train: demonstrations is false"):
+        GraspData(plain, plain).check()

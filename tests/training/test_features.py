@@ -1,0 +1,66 @@
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+
+from nerfgrasp.data.grasps import GraspBatch
+from nerfgrasp.geometry import Camera
+from nerfgrasp.models import MVNeRF
+from nerfgrasp.training.features import FeatureCache
+
+
+@pytest.fixture
+def backbone(tiny_network: Callable[..., Any]) -> MVNeRF:
+    torch.manual_seed(0)
+    return MVNeRF(tiny_network()).eval()
+
+
+def batch(cameras: Callable[..., Camera], scenes: list[int], views: list[list[int]]) -> GraspBatch:
+    """A batch whose images are functions of scene and view alone."""
+    images = [
+        torch.stack([torch.rand(3, 32, 32, generator=torch.Generator().manual_seed(10 * s + v)) for v in of_scene])
+        for s, of_scene in zip(scenes, views, strict=True)
+    ]
+    camera = cameras(2)
+    return GraspBatch(
+        torch.tensor(scenes),
+        torch.tensor(views),
+        torch.stack(images),
+        camera.intrinsics.expand(len(scenes), 2, 3, 3),
+        camera.T_world_camera.expand(len(scenes), 2, 4, 4),
+        torch.eye(4).expand(len(scenes), 5, 4, 4),
+    )
+
+
+def test_the_cache_gives_what_observing_gives(backbone: MVNeRF, cameras: Callable[..., Camera]) -> None:
+    asked = batch(cameras, [4, 7], [[0, 2], [1, 0]])
+    cached, plain = FeatureCache(backbone)(asked), FeatureCache(backbone, enabled=False)(asked)
+    assert cached.coarse is None
+    assert plain.coarse is None
+    assert cached.fine.features.dtype == torch.float32
+    torch.testing.assert_close(cached.fine.features, plain.fine.features, atol=2e-3, rtol=2e-3)
+    assert torch.equal(cached.fine.images, asked.images)
+    assert torch.equal(cached.fine.camera.T_world_camera, asked.T_world_camera)
+    assert not cached.fine.features.requires_grad
+    assert not plain.fine.features.requires_grad
+
+
+def test_a_view_is_encoded_once_whatever_its_batch(
+    backbone: MVNeRF, cameras: Callable[..., Camera], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    encoded, forward = [], backbone.encoder.forward
+
+    def counting(images: torch.Tensor) -> torch.Tensor:
+        encoded.append(len(images))
+        return forward(images)
+
+    monkeypatch.setattr(backbone.encoder, "forward", counting)
+    cache = FeatureCache(backbone)
+    first = cache(batch(cameras, [4, 7], [[0, 2], [1, 0]]))
+    assert encoded == [1, 1, 1, 1]
+    again = cache(batch(cameras, [7, 9], [[0, 1], [1, 0]]))
+    assert encoded == [1] * 6
+    assert torch.equal(again.fine.features[0], first.fine.features[1].flip(0))
+    other_order = FeatureCache(backbone)(batch(cameras, [9, 7], [[1, 0], [0, 1]]))
+    assert torch.equal(other_order.fine.features, again.fine.features.flip(0))

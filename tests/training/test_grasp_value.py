@@ -1,0 +1,125 @@
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from nerfgrasp.data.grasps import GraspData, Negatives
+from nerfgrasp.data.streams import SceneSet
+from nerfgrasp.errors import UserError
+from nerfgrasp.models import GraspValue, GraspValueConfig, MVNeRF
+from nerfgrasp.models.folder import save_model, weights_hash
+from nerfgrasp.training import GraspValueTraining
+from nerfgrasp.training.grasp_value import grasp_loss
+
+
+def save_backbone(folder: Path, config: Any, seed: int) -> Path:
+    torch.manual_seed(seed)
+    save_model(folder, MVNeRF(config))
+    return folder
+
+
+@pytest.fixture
+def backbone(tiny_network: Callable[..., Any], tmp_path: Path) -> Path:
+    return save_backbone(tmp_path / "backbone", tiny_network(), 0)
+
+
+@pytest.fixture
+def data(packed_set: Path) -> Callable[[], GraspData]:
+    scenes = SceneSet(packed_set, scenes=4, views=6, seed=5, size=32, demonstrations=True)
+    negatives = Negatives(uniform=12, near=3)
+    return lambda: GraspData(scenes, scenes, scenes_per_step=2, negatives=negatives, random_views=False)
+
+
+def training(backbone: Path, **changes: Any) -> GraspValueTraining:
+    sizes = {"activation_width": 8, "pose_width": 4, "hidden_width": 16, "output_width": 8}
+    return GraspValueTraining(str(backbone), **{**sizes, "learning_rate": 3e-3, **changes})
+
+
+def test_softmax_loss_by_hand() -> None:
+    values = torch.tensor([[math.log(3.0), 0.0, 0.0], [0.0, 0.0, math.log(2.0)]])
+    assert float(grasp_loss(values, "softmax")) == pytest.approx(0.5 * (math.log(5 / 3) + math.log(4)))
+
+
+def test_softmax_loss_takes_a_scene_s_values_up_to_a_constant() -> None:
+    values = torch.randn(2, 5)
+    torch.testing.assert_close(
+        grasp_loss(values, "softmax"), grasp_loss(values + torch.tensor([[3.0], [-1.0]]), "softmax")
+    )
+
+
+def test_binary_loss_by_hand() -> None:
+    values = torch.tensor([[math.log(3.0), 0.0, -math.log(3.0)]])
+    # The demonstrated grasp counts twice, as both others together.
+    expected = (2 * math.log(4 / 3) + math.log(2) + math.log(4 / 3)) / 3
+    assert float(grasp_loss(values, "binary")) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("loss", ["softmax", "binary"])
+def test_training_reduces_the_loss_and_leaves_the_backbone(backbone: Path, data, fit, loss: str) -> None:
+    module = training(backbone, loss=loss)
+    before = weights_hash(module.network.backbone)
+    trainer, losses = fit(module, data(), 30)
+    values = list(losses.values())
+    assert sum(values[-5:]) < 0.85 * sum(values[:5])
+    assert weights_hash(module.network.backbone) == before == module.backbone_hash
+    assert not any(parameter.requires_grad for parameter in module.network.backbone.parameters())
+    assert 0.0 <= float(trainer.callback_metrics["val/top1"]) <= 1.0
+    assert math.isfinite(trainer.callback_metrics["val/loss"])
+
+
+def test_a_resumed_training_is_the_unbroken_one(backbone: Path, data, fit, tmp_path: Path) -> None:
+    unbroken = training(backbone)
+    _, whole = fit(unbroken, data(), 6)
+    trainer, first = fit(training(backbone), data(), 3)
+    trainer.save_checkpoint(tmp_path / "3.ckpt")
+    resumed = training(backbone, seed=9)
+    _, rest = fit(resumed, data(), 6, tmp_path / "3.ckpt")
+    assert list(rest) == [4, 5, 6]
+    assert {**first, **rest} == whole
+    assert weights_hash(unbroken.network) == weights_hash(resumed.network)
+
+
+def test_checkpoints_do_not_repeat_the_backbone(backbone: Path, data, fit, tmp_path: Path) -> None:
+    module = training(backbone)
+    trainer, _ = fit(module, data(), 1)
+    trainer.save_checkpoint(tmp_path / "1.ckpt")
+    checkpoint = torch.load(tmp_path / "1.ckpt", weights_only=True)
+    assert checkpoint["backbone_sha256"] == module.backbone_hash
+    assert "network.readout.weight" in checkpoint["state_dict"]
+    assert not [name for name in checkpoint["state_dict"] if "backbone" in name]
+
+
+def test_resuming_on_another_backbone_is_refused(backbone: Path, tiny_network, data, fit, tmp_path: Path) -> None:
+    trainer, _ = fit(training(backbone), data(), 1)
+    trainer.save_checkpoint(tmp_path / "1.ckpt")
+    other = save_backbone(tmp_path / "other", tiny_network(), 1)
+    with pytest.raises(UserError, match="the checkpoint was made on another backbone"):
+        fit(training(other), data(), 2, tmp_path / "1.ckpt")
+
+
+def test_a_grasp_value_s_backbone_serves_too(tiny_network: Callable[..., Any], tmp_path: Path) -> None:
+    model = GraspValue(GraspValueConfig(tiny_network(views=1)))
+    save_model(tmp_path / "model", model)
+    module = training(tmp_path / "model")
+    assert module.backbone_hash == weights_hash(model.backbone)
+    assert module.network.views == 1
+
+
+def test_the_backbone_stays_in_evaluation_mode(backbone: Path) -> None:
+    module = training(backbone).train()
+    assert module.network.training
+    assert not module.network.backbone.training
+
+
+def test_the_start_is_a_function_of_the_seed(backbone: Path) -> None:
+    same = [training(backbone, seed=4).network.fuse.weight for _ in range(2)]
+    assert torch.equal(*same)
+    assert not torch.equal(same[0], training(backbone, seed=5).network.fuse.weight)
+
+
+def test_a_backbone_that_is_not_there() -> None:
+    with pytest.raises(UserError, match="unknown model"):
+        training(Path("nowhere"))

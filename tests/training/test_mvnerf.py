@@ -1,0 +1,87 @@
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from nerfgrasp.data.rays import RayData
+from nerfgrasp.data.streams import SceneSet
+from nerfgrasp.training import MVNeRFTraining
+from nerfgrasp.training.mvnerf import image_scores
+from nerfgrasp.training.schedule import LearningRate
+
+CONSTANT = LearningRate(warmup_steps=0, decay="constant")
+
+
+@pytest.fixture
+def data(packed_set: Path) -> Callable[[], RayData]:
+    scenes = SceneSet(packed_set, scenes=4, views=6, seed=5, size=32)
+    options: dict[str, Any] = {"scenes_per_step": 2, "rays_per_scene": 24, "object_share": 0.5, "validation_scenes": 1}
+    return lambda: RayData(scenes, scenes, **options)
+
+
+def training(network: Any, **changes: Any) -> MVNeRFTraining:
+    rates = {"learning_rate": 3e-3, "encoder_learning_rate": 3e-3}
+    return MVNeRFTraining(network, **{**rates, "schedule": CONSTANT, **changes})
+
+
+def test_training_reduces_the_loss_and_validates(tiny_network: Callable[..., Any], data, fit) -> None:
+    trainer, losses = fit(training(tiny_network()), data(), 40)
+    values = list(losses.values())
+    assert sum(values[-8:]) < 0.7 * sum(values[:8])
+    scores = {name: float(value) for name, value in trainer.callback_metrics.items() if name.startswith("val/")}
+    assert scores.keys() == {"val/psnr", "val/psnr_objects", "val/ssim"}
+    assert 3.0 < scores["val/psnr"] < 40.0
+    assert -1.0 <= scores["val/ssim"] <= 1.0
+
+
+def test_a_resumed_training_is_the_unbroken_one(tiny_network, data, fit, tmp_path: Path) -> None:
+    unbroken = training(tiny_network())
+    _, whole = fit(unbroken, data(), 6)
+    trainer, first = fit(training(tiny_network()), data(), 3)
+    trainer.save_checkpoint(tmp_path / "3.ckpt")
+    # Another start, so that everything must come from the checkpoint.
+    resumed = training(tiny_network())
+    torch.nn.init.zeros_(resumed.network.fine.readout.weight)
+    _, rest = fit(resumed, data(), 6, tmp_path / "3.ckpt")
+    assert list(rest) == [4, 5, 6]
+    assert {**first, **rest} == whole
+    for one, other in zip(unbroken.parameters(), resumed.parameters(), strict=True):
+        assert torch.equal(one, other)
+
+
+def test_the_start_is_a_function_of_the_seed(tiny_network: Callable[..., Any]) -> None:
+    def readout(seed: int) -> torch.Tensor:
+        torch.rand(1)  # what was drawn elsewhere changes nothing
+        return training(tiny_network(), seed=seed).network.fine.readout.weight
+
+    before = torch.get_rng_state()
+    assert torch.equal(readout(1), readout(1))
+    assert not torch.equal(readout(1), readout(2))
+    torch.set_rng_state(before)
+
+
+def test_two_learning_rates(tiny_network: Callable[..., Any]) -> None:
+    module = training(tiny_network(), learning_rate=0.2, encoder_learning_rate=0.1)
+    optimizer = module.configure_optimizers()["optimizer"]
+    encoder, fields = optimizer.param_groups
+    assert (encoder["lr"], fields["lr"]) == (0.1, 0.2)
+    assert len(encoder["params"]) + len(fields["params"]) == len(list(module.network.parameters()))
+
+
+def test_scores_by_hand() -> None:
+    truth = torch.full((3, 16, 16), 0.5)
+    rendered = truth.clone()
+    inside, objects = torch.zeros(16, 16, dtype=torch.bool), torch.zeros(16, 16, dtype=torch.bool)
+    inside[:8], objects[:2] = True, True
+    rendered[:, :2] += 0.1  # a quarter of the inside
+    rendered[:, 8:] = 0.0  # outside: not judged
+    scores = image_scores(rendered, truth, inside, objects)
+    assert float(scores["psnr_objects"]) == pytest.approx(20.0, abs=1e-3)
+    assert float(scores["psnr"]) == pytest.approx(20.0 + 10 * math.log10(4), abs=1e-3)
+    assert 0.0 < float(scores["ssim"]) < 1.0
+    assert "psnr_objects" not in image_scores(rendered, truth, inside, torch.zeros_like(objects))
+    same = image_scores(torch.where(inside, truth, rendered), truth, inside, objects)
+    assert float(same["ssim"]) == pytest.approx(1.0)
