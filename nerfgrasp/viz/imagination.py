@@ -11,7 +11,7 @@ from nerfgrasp.models.rendering import render_image
 from nerfgrasp.scenes.scene import Observations, Workspace
 from nerfgrasp.viz.figures import Panel
 
-OUTSIDE = 0.12
+OUTSIDE = 0.93
 """The grey of pixels whose rays miss the model's box."""
 
 

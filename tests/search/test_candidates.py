@@ -1,0 +1,37 @@
+import torch
+
+from nerfgrasp.geometry import is_rigid
+from nerfgrasp.scenes.scene import Workspace
+from nerfgrasp.search import random_candidates
+
+
+def draw(count: int, workspace: Workspace, seed: int = 0) -> torch.Tensor:
+    return random_candidates(count, workspace, torch.Generator().manual_seed(seed))
+
+
+def test_positions_fill_the_workspace_evenly(workspace: Workspace) -> None:
+    position = draw(20_000, workspace)[:, :3, 3]
+    assert (position >= workspace.minimum).all()
+    assert (position <= workspace.maximum).all()
+    share = (position - workspace.minimum) / (workspace.maximum - workspace.minimum)
+    assert torch.allclose(share.mean(dim=0), torch.full((3,), 0.5), atol=0.01)
+    assert torch.allclose(share.var(dim=0), torch.full((3,), 1 / 12), atol=0.003)
+
+
+def test_orientations_are_uniform_on_so3(workspace: Workspace) -> None:
+    T = draw(20_000, workspace)
+    assert is_rigid(T).all()
+    rotation = T[:, :3, :3]
+    # Under the Haar measure every entry has mean 0 and variance 1/3, and the trace has mean 0 and variance 1.
+    assert rotation.mean(dim=0).abs().max() < 0.02
+    assert (rotation.var(dim=0) - 1 / 3).abs().max() < 0.02
+    trace = rotation.diagonal(dim1=1, dim2=2).sum(dim=1)
+    assert abs(float(trace.mean())) < 0.03
+    assert abs(float(trace.var()) - 1.0) < 0.05
+
+
+def test_seed_decides_and_the_global_state_does_not(workspace: Workspace) -> None:
+    first = draw(5, workspace)
+    torch.rand(3)
+    assert torch.equal(first, draw(5, workspace))
+    assert not torch.equal(first, draw(5, workspace, seed=1))

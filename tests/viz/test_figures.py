@@ -1,0 +1,34 @@
+import numpy as np
+import torch
+
+from nerfgrasp.geometry import Camera
+from nerfgrasp.scenes.scene import Grasps, Observations
+from nerfgrasp.viz.figures import CAPTION, MARGIN, PANEL_WIDTH, Panel, picture, to_image
+
+WIDTH, HEIGHT = 3 * (PANEL_WIDTH + MARGIN) + MARGIN, PANEL_WIDTH * 48 // 64 + CAPTION
+
+
+def test_to_image_rounds_and_clips() -> None:
+    rgb = torch.tensor([[[0.0, 0.5, 1.0], [-1.0, 2.0, 0.2]]])
+    assert np.asarray(to_image(rgb)).tolist() == [[[0, 128, 255], [0, 255, 51]]]
+
+
+def test_picture_holds_inputs_above_and_imagined_below(
+    observations: Observations, grasps: Grasps, camera: Camera
+) -> None:
+    imagined = [Panel("render", torch.tensor([0.0, 1.0, 0.0]).expand(48, 64, 3), camera[1])]
+    image = picture(observations, grasps, imagined, ["best grasp", "somewhere"])
+    assert image.size == (WIDTH, 2 * (HEIGHT + MARGIN))
+    assert image.getpixel((MARGIN + 5, CAPTION + 5)) == (128, 128, 128)
+    assert image.getpixel((MARGIN + 5, HEIGHT + MARGIN + CAPTION + 5)) == (0, 255, 0)
+    facts = np.asarray(image.crop((2 * MARGIN + PANEL_WIDTH, HEIGHT + MARGIN, WIDTH, image.height)))
+    assert facts.min() < 60  # something is written there
+
+
+def test_only_the_best_grasp_is_drawn(observations: Observations, grasps: Grasps) -> None:
+    best = Grasps(grasps.T_world_grasp[:1], grasps.value[:1])
+    other = Grasps(grasps.T_world_grasp[1:], grasps.value[1:])
+    drawn = [np.asarray(picture(observations, each, [])) for each in (grasps, best, other)]
+    assert drawn[0].shape == (HEIGHT + MARGIN, WIDTH, 3)
+    assert np.array_equal(drawn[0], drawn[1])
+    assert not np.array_equal(drawn[0], drawn[2])

@@ -1,0 +1,67 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from nerfgrasp.geometry import Camera
+from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
+from nerfgrasp.search import Trace
+from nerfgrasp.viz.figures import Panel
+
+rerun_chunk = pytest.importorskip("rerun.chunk")
+from nerfgrasp.viz import recording  # noqa: E402  # it imports rerun
+
+CAMERAS = {f"/world/{name}" for name in ("camera_0", "camera_1", "camera_2", "imagined_0")}
+
+
+@pytest.fixture
+def path(tmp_path: Path, observations: Observations, grasps: Grasps, camera: Camera) -> Path:
+    value = torch.tensor([[0.0, 1.0], [0.5, 1.5], [1.0, 2.0]])
+    trace = Trace(grasps.T_world_grasp.flip(0).expand(3, 2, 4, 4), value)
+    imagined = [Panel("render", torch.zeros(48, 64, 3), camera[1])]
+    file = tmp_path / "optimization.rrd"
+    recording.record_search(file, observations, Workspace(), trace, grasps, imagined)
+    return file
+
+
+def read(path: Path, entity: str, component: str) -> list:
+    """Returns a component's values in the order of the file."""
+    rows = []
+    for chunk in rerun_chunk.RrdReader(path).stream():
+        batch = chunk.to_record_batch()
+        for name in batch.schema.names:
+            if chunk.entity_path == entity and name.endswith(component):
+                rows += batch.column(name).to_pylist()
+    return rows
+
+
+def test_the_recording_opens_with_its_blueprint(path: Path) -> None:
+    reader = rerun_chunk.RrdReader(path)
+    assert len(reader.recordings()) == 1
+    assert len(reader.blueprints()) == 1
+
+
+def test_cameras_images_box_and_winner_are_always_there(path: Path) -> None:
+    static = {chunk.entity_path for chunk in rerun_chunk.RrdReader(path).stream() if chunk.is_static}
+    images = {f"{camera}/image" for camera in CAMERAS}
+    assert static >= CAMERAS | images | {"/world", "/world/workspace", "/world/grasp"}
+
+
+def test_candidates_and_curves_run_over_iterations(path: Path) -> None:
+    for entity in ("/world/candidates", "/value/best", "/value/median"):
+        assert read(path, entity, recording.TIMELINE) == [0, 1, 2]
+    assert read(path, "/value/best", "scalars") == [[1.0], [1.5], [2.0]]
+    assert read(path, "/value/median", "scalars") == [[0.0], [0.5], [1.0]]
+
+
+def test_a_camera_keeps_its_pose_and_lens(path: Path, camera: Camera) -> None:
+    translation = np.array(read(path, "/world/camera_1", "translation")).ravel()
+    assert translation.tolist() == pytest.approx(camera.T_world_camera[1, :3, 3].tolist())
+    matrix = np.array(read(path, "/world/camera_1", "image_from_camera")).reshape(3, 3).T
+    assert np.allclose(matrix, camera.intrinsics[1])
+
+
+def test_every_candidate_is_a_gripper(path: Path) -> None:
+    strips = read(path, "/world/candidates", "strips")
+    assert np.array(strips).shape == (3, 2, 7, 3)
