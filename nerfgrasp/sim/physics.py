@@ -21,6 +21,11 @@ class Physics:
     """Of objects; PyBullet multiplies the coefficients of the two bodies in touch."""
     pad_friction: float = 0.7
     """Of the gripper's pads."""
+    pad_stiffness: float = 30000.0
+    """N/m, of each point of contact with a pad. Rigid pads bear all their load in one corner, where it withstands
+    no torque, and objects held off their centre swing down; rubber spreads it."""
+    pad_damping: float = 1000.0
+    """N s/m, likewise."""
     table_friction: float = 1.0
     """Of the table."""
     rolling_friction: float = 1e-4

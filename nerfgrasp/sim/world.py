@@ -208,6 +208,9 @@ class Hand:
                 body,
                 link,
                 lateralFriction=self.world.physics.pad_friction,
+                contactStiffness=self.world.physics.pad_stiffness,
+                contactDamping=self.world.physics.pad_damping,
+                frictionAnchor=1,
                 jointLowerLimit=0.0,
                 jointUpperLimit=fingers.stroke / 2,
                 physicsClientId=client,
@@ -231,9 +234,7 @@ def _finger(client: int, gripper: Gripper, side: float) -> int:
     return _box_compound(client, [(0.0, 0.0, 0.0), centre], [pad, upper])
 
 
-def _box_compound(
-    client: int, centres: Sequence[tuple[float, ...]], halves: Sequence[tuple[float, ...]]
-) -> int:
+def _box_compound(client: int, centres: Sequence[tuple[float, ...]], halves: Sequence[tuple[float, ...]]) -> int:
     count = len(centres)
     shape: int = p.createCollisionShapeArray(
         shapeTypes=[p.GEOM_BOX] * count,
