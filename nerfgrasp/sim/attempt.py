@@ -118,7 +118,7 @@ def cuts_table(T_world_grasp: Pose, gripper: Gripper = ROBOTIQ_2F85) -> bool:
 def _approach(world: World, hand: Hand, start: Pose, grasp: Pose) -> Outcome | None:
     """Moves the hand to the grasp; returns the collision that stopped it, or None."""
     count = world.steps(world.physics.approach_distance / world.physics.approach_speed)
-    rest = world.steps(0.05)
+    rest = world.steps(world.physics.approach_settle)
     for done in np.concatenate([np.linspace(0.0, 1.0, count + 1)[1:], np.ones(rest)]):
         hand.move_to(_shifted(start, done * (grasp[:3, 3] - start[:3, 3])))
         world.step()

@@ -26,6 +26,8 @@ class Physics:
     no torque, and objects held off their centre swing down; rubber spreads it."""
     pad_damping: float = 1000.0
     """N s/m, likewise."""
+    pad_anchor: bool = True
+    """Whether a pad's friction holds a place, not only a speed: without, held objects creep."""
     table_friction: float = 1.0
     """Of the table."""
     rolling_friction: float = 1e-4
@@ -44,6 +46,8 @@ class Physics:
     """Of the hand on its way to the grasp."""
     approach_force: float = 5.0
     """More than this against an object or the table on that way is a collision."""
+    approach_settle: float = 0.05
+    """For the hand to come to rest at the grasp."""
     finger_speed: float = 0.1
     """Of each finger."""
     close_time: float = 0.6

@@ -210,7 +210,7 @@ class Hand:
                 lateralFriction=self.world.physics.pad_friction,
                 contactStiffness=self.world.physics.pad_stiffness,
                 contactDamping=self.world.physics.pad_damping,
-                frictionAnchor=1,
+                frictionAnchor=int(self.world.physics.pad_anchor),
                 jointLowerLimit=0.0,
                 jointUpperLimit=fingers.stroke / 2,
                 physicsClientId=client,

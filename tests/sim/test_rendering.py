@@ -1,0 +1,103 @@
+"""Pictures agree with the cameras to the pixel, and with the scene."""
+
+import numpy as np
+import pytest
+import torch
+
+from nerfgrasp.geometry import Camera, box_intersection, pixel_centres, pixel_rays, project
+from nerfgrasp.scenes.prisms import mass_properties
+from nerfgrasp.sim import shapes
+from nerfgrasp.sim.rendering import prism_mesh, render_scene, scene_lighting
+from nerfgrasp.sim.tasks import scene_cameras, simple_scene
+
+
+def ray_cast(prism, camera):
+    """Whether each pixel's centre sees a box that is unturned, by ray and box alone."""
+    pixels = pixel_centres(camera.width, camera.height).reshape(-1, 2)
+    origins, directions = pixel_rays(camera, pixels)
+    corners = torch.tensor(prism.parts[0])
+    place = prism.T_world_object[:3, 3]
+    low = torch.cat([corners.min(0).values, torch.zeros(1)]) + place
+    high = torch.cat([corners.max(0).values, torch.tensor([prism.height])]) + place
+    near, far = box_intersection(origins, directions, low, high)
+    return (far > near).reshape(camera.height, camera.width).numpy()
+
+
+@pytest.mark.parametrize(("focal", "centre"), [((60.0, 60.0), (32.0, 32.0)), ((70.0, 55.0), (29.3, 36.8))])
+def test_mask_is_what_rays_through_pixel_centres_hit(scene_of, focal, centre):
+    scene = scene_of()
+    spread = scene_cameras(0, 0, 4, size=64)
+    intrinsics = torch.tensor([[focal[0], 0.0, centre[0]], [0.0, focal[1], centre[1]], [0.0, 0.0, 1.0]])
+    camera = Camera(intrinsics.repeat(4, 1, 1), spread.T_world_camera, 64, 64)
+    _, masks = render_scene(scene, camera)
+    for view in range(4):
+        expected = ray_cast(scene.objects[0], camera[view])
+        assert expected.sum() > 30
+        assert (expected != (masks[view] == 1)).sum() <= 2
+
+
+def test_projected_corners_frame_the_mask():
+    scene, camera = simple_scene(0, 3), scene_cameras(0, 3, 3)
+    _, masks = render_scene(scene, camera)
+    lone = [i for i in range(len(scene.objects)) if (masks == i + 1).any(axis=(1, 2)).all()]
+    assert lone
+    for number in lone:
+        vertices, _, _ = prism_mesh(scene.objects[number])
+        pose = scene.objects[number].T_world_object
+        points = torch.from_numpy(vertices).float() @ pose[:3, :3].T + pose[:3, 3]
+        pixels, _ = project(camera, points.expand(3, -1, 3))
+        for view in range(3):
+            rows, columns = np.nonzero(masks[view] == number + 1)
+            low, high = pixels[view].amin(0), pixels[view].amax(0)
+            # Objects in front may hide some of it, never the other way round.
+            assert low[0] - 1 <= columns.min() + 0.5
+            assert columns.max() + 0.5 <= high[0] + 1
+            assert low[1] - 1 <= rows.min() + 0.5
+            assert rows.max() + 0.5 <= high[1] + 1
+
+
+def test_pictures_are_repeatable_and_of_the_stated_form():
+    scene, camera = simple_scene(1, 2), scene_cameras(1, 2, 2, size=48)
+    images, masks = render_scene(scene, camera)
+    again, masks_again = render_scene(scene, camera)
+    assert images.dtype == masks.dtype == np.uint8
+    assert images.shape == (2, 48, 48, 3)
+    assert masks.shape == (2, 48, 48)
+    assert np.array_equal(images, again)
+    assert np.array_equal(masks, masks_again)
+    assert set(np.unique(masks)) == set(range(len(scene.objects) + 1))
+
+
+def test_an_object_is_its_colour_darker_or_lighter_and_the_table_is_one_grey(scene_of):
+    images, masks = render_scene(scene_of(), scene_cameras(0, 0, 1))
+    red, green, blue = images[masks == 1].reshape(-1, 3).T
+    assert red.min() > 100
+    assert green.max() == blue.max() == 0
+    assert len(np.unique(images[masks == 0].reshape(-1, 3), axis=0)) == 1
+
+
+def test_faces_are_lit_by_their_normals(scene_of):
+    """Lambert's law: ambient + diffuse max(0, n · l), so the top of a red box is as bright as the table is."""
+    scene = scene_of()
+    lighting = scene_lighting(scene.seed, scene.index)
+    camera = scene_cameras(0, 0, 1)
+    images, _ = render_scene(scene, camera)
+    top = torch.tensor([[[0.05, -0.02, 0.1]]])
+    (x, y), _ = (v[0, 0] for v in project(camera, top))
+    brightness = lighting.ambient + (1 - lighting.ambient) * lighting.direction[2]
+    assert images[0, int(y), int(x), 0] == pytest.approx(255 * brightness, abs=2)
+
+
+def test_light_and_table_differ_between_scenes():
+    assert len({scene_lighting(0, index) for index in range(20)}) == 20
+
+
+def test_mesh_is_closed_and_faces_outwards(scene_of):
+    """The divergence theorem over all triangles but the floor's gives the volume of every part."""
+    (prism,) = scene_of("u", shapes.channel(0.04, 0.02, 0.035, 0.03)).objects
+    vertices, normals, indices = prism_mesh(prism)
+    triangles = vertices[np.reshape(indices, (-1, 3))]
+    volume = np.linalg.det(triangles).sum() / 6
+    assert volume * prism.density == pytest.approx(mass_properties(prism).mass)
+    faces = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    assert ((faces * normals[np.reshape(indices, (-1, 3))[:, 0]]).sum(axis=1) > 0).all()
