@@ -119,6 +119,7 @@ def main(verb: str, args: list[str]) -> None:
     keep_freed_memory()
     warnings.filterwarnings("ignore", message="LightningCLI's args parameter")
     warnings.filterwarnings("ignore", message="Checkpoint directory .* exists and is not empty")  # a resumed run's
+    warnings.filterwarnings("ignore", message="Found .* in eval mode at the start")  # a frozen backbone's
     try:
         Command(
             args=[verb, *shipped_configs(args)],
@@ -136,6 +137,12 @@ def main(verb: str, args: list[str]) -> None:
         if isinstance(done.__context__, KeyboardInterrupt):
             raise KeyboardInterrupt from done
         raise
+    except ValueError as error:
+        # jsonargparse turns what a class's constructor says into a list of what it tried.
+        mistake = _user_mistake(error)
+        if mistake is None:
+            raise
+        raise mistake from None
 
 
 def shipped_configs(args: list[str]) -> list[str]:
@@ -171,6 +178,12 @@ def _check_views(module: LightningModule, data: Any) -> None:
     backbone = getattr(config, "backbone", config)
     if backbone is not None and getattr(data, "views", backbone.views) != backbone.views:
         raise UserError(f"data.init_args.views is {data.views}, but the network sees {backbone.views} views")
+
+
+def _user_mistake(error: BaseException | None) -> UserError | None:
+    while error is not None and not isinstance(error, UserError):
+        error = error.__cause__ or error.__context__
+    return error
 
 
 def _check_checkpoint(name: Any) -> None:

@@ -71,10 +71,18 @@ def _near_misses(message: str, actions: Iterable[Any]) -> str:
         form, unknown = "--{}", found[1]
     elif found := re.match(r"Option '([^']+)' is not accepted", message):
         unknown = found[1]
+    elif found := re.match(r"Subcommand '([^']+)' does not accept option '([^']+)'", message):
+        unknown, keys = found[2], _keys_of_subcommand(found[1], actions)
     elif found := re.match(r"Group '([^']+)' does not accept option '([^']+)'", message):
         group, unknown = found[1], found[2]
         keys = [key.removeprefix(f"{group}.") for key in keys if key.startswith(f"{group}.")]
     else:
         return ""
-    near = get_close_matches(unknown, keys, n=2, cutoff=0.75)
+    top = unknown.split(".")[0]
+    near = get_close_matches(unknown, keys, n=2, cutoff=0.75) or get_close_matches(top, keys, n=2, cutoff=0.75)
     return f" (did you mean {' or '.join(map(form.format, near))}?)" if near else ""
+
+
+def _keys_of_subcommand(name: str, actions: Iterable[Any]) -> list[str]:
+    choices = [action.choices for action in actions if isinstance(action.choices, dict)]
+    return [action.dest for parsers in choices if name in parsers for action in parsers[name]._actions]

@@ -5,6 +5,7 @@ import json
 from dataclasses import asdict, fields, is_dataclass
 from importlib.resources import files
 from pathlib import Path
+from textwrap import shorten
 from typing import Any, TypeVar, get_type_hints
 
 import torch
@@ -157,7 +158,7 @@ def _load_weights(model: nn.Module, path: Path) -> None:
         model.load_state_dict(state)
     except RuntimeError as error:
         reason = str(error).splitlines()[1].strip() if "\n" in str(error) else str(error)
-        raise UserError(f"{path} does not fit {_CONFIG}: {reason}") from error
+        raise UserError(f"{path} does not fit {_CONFIG}: {shorten(reason, 160)}") from error
 
 
 def _fetch(repository: str) -> Path:

@@ -6,6 +6,13 @@ import pytest
 from lightning import Callback, Trainer
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """A frozen backbone is meant to be in evaluation mode."""
+    for item in items:
+        if Path(__file__).parent in item.path.parents:
+            item.add_marker(pytest.mark.filterwarnings("ignore:Found .* in eval mode at the start"))
+
+
 class Losses(Callback):
     """Notes the loss of every step."""
 

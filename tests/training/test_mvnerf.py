@@ -18,7 +18,7 @@ CONSTANT = LearningRate(warmup_steps=0, decay="constant")
 @pytest.fixture
 def data(packed_set: Path) -> Callable[[], RayData]:
     scenes = SceneSet(packed_set, scenes=4, views=6, seed=5, size=32)
-    options: dict[str, Any] = {"scenes_per_step": 2, "rays_per_scene": 24, "object_share": 0.5, "validation_scenes": 1}
+    options: dict[str, Any] = {"scenes_per_step": 2, "rays_per_scene": 32, "validation_scenes": 1}
     return lambda: RayData(scenes, scenes, **options)
 
 
@@ -30,7 +30,7 @@ def training(network: Any, **changes: Any) -> MVNeRFTraining:
 def test_training_reduces_the_loss_and_validates(tiny_network: Callable[..., Any], data, fit) -> None:
     trainer, losses = fit(training(tiny_network()), data(), 40)
     values = list(losses.values())
-    assert sum(values[-8:]) < 0.7 * sum(values[:8])
+    assert sum(values[-5:]) < 0.5 * sum(values[:5]), values
     scores = {name: float(value) for name, value in trainer.callback_metrics.items() if name.startswith("val/")}
     assert scores.keys() == {"val/psnr", "val/psnr_objects", "val/ssim"}
     assert 3.0 < scores["val/psnr"] < 40.0
