@@ -3,13 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-import pybullet as p
 from numpy.typing import NDArray
 from torch import Tensor
 
 from nerfgrasp.geometry import Camera
 from nerfgrasp.scenes.prisms import Polygon, Prism
 from nerfgrasp.scenes.scene import Truth
+from nerfgrasp.sim.bullet import p
 from nerfgrasp.sim.tasks import scene_generator
 
 NEAR, FAR = 0.05, 4.0

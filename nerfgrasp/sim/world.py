@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from types import TracebackType
 
 import numpy as np
-import pybullet as p
 import roma
 import torch
 from numpy.typing import NDArray
 
 from nerfgrasp.scenes.prisms import Prism, mass_properties
+from nerfgrasp.sim.bullet import p
 from nerfgrasp.sim.gripper import Gripper
 from nerfgrasp.sim.physics import Physics
 
