@@ -8,28 +8,34 @@ docs/results.md and, with `--out`, keeps one JSON line a scene.
 """
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
+from joblib import Parallel, cpu_count, delayed
 from jsonargparse import auto_cli
+from torch import Tensor
 from tqdm import tqdm
 
 from nerfgrasp.allocator import keep_freed_memory
 from nerfgrasp.commands.generate import generate
 from nerfgrasp.data.packed import PackedScenes
-from nerfgrasp.data.rays import HeldOutViews
+from nerfgrasp.data.rays import HeldOutViews, ImageBatch
 from nerfgrasp.evaluation.statistics import wilson_interval
-from nerfgrasp.geometry import Camera
-from nerfgrasp.models import MVNeRF, render_image
+from nerfgrasp.geometry import Camera, box_intersection, pixel_centres, pixel_rays
+from nerfgrasp.models import MVNeRF
 from nerfgrasp.models.folder import DEFAULT_MODEL
 from nerfgrasp.scenes.oracle import grasp_errors, valid_grasps
+from nerfgrasp.scenes.scene import Workspace
 from nerfgrasp.search.psi import Psi
 from nerfgrasp.sim.attempt import Outcome, attempt_grasp
-from nerfgrasp.training.mvnerf import image_scores
 
 UNSEEN_VIEWS = 4
-IMAGE_SCORES = ("psnr_objects", "psnr", "ssim")
-"""Decibels over the pixels that show an object and over those that show the workspace, and structural similarity."""
+IMAGE_SCORES = ("psnr_objects", "psnr_workspace")
+"""Decibels over the pixels that show an object, and over those whose rays meet the workspace."""
+RAYS_AT_A_TIME = 512
+
+Row = dict[str, float | str]
 
 
 def main(
@@ -38,9 +44,10 @@ def main(
     seed: int = 100,
     size: int = 128,
     data: Path = Path("data/simple-evaluation"),
-    render: bool = True,
+    stride: int = 1,
     candidates: int | None = None,
     keep: int | None = None,
+    workers: int | None = None,
     out: Path | None = None,
 ) -> None:
     """Measures a model on held-out simple scenes.
@@ -51,43 +58,62 @@ def main(
         seed: of the scenes; no training set has it.
         size: the images' side in pixels.
         data: where the scenes are, or will be made.
-        render: whether to measure the renderings; they take most of the time.
+        stride: render every object pixel, but of the workspace only every so many-th in each direction; 0 renders
+            nothing.
         candidates: random poses a search draws; the method's own number if not given.
         keep: how many of them climb; the method's own number if not given.
+        workers: processes; one a core if not given.
         out: JSON lines, one a scene.
     """
-    keep_freed_memory()
-    method = Psi.from_pretrained(model)
-    views = method.images + UNSEEN_VIEWS
-    generate(scenes=scenes, views=views, seed=seed, out=data, size=size, demonstrations=False)
-    held_out = PackedScenes(data)
-    images = rendering_scores(method.model.backbone, held_out, method.images) if render else [{} for _ in range(scenes)]
-    grasps = [grasp_scores(method, held_out, scene, candidates, keep) for scene in tqdm(range(scenes), desc="grasps")]
-    rows = [{"scene": n, **image, **grasp} for n, (image, grasp) in enumerate(zip(images, grasps, strict=True))]
+    generate(scenes=scenes, views=3 + UNSEEN_VIEWS, seed=seed, out=data, size=size, demonstrations=False)
+    jobs = (delayed(measure)(model, data, scene, stride, candidates, keep) for scene in range(scenes))
+    parallel = Parallel(n_jobs=workers or cpu_count(), return_as="generator")
+    rows = list(tqdm(parallel(jobs), total=scenes, desc="scenes"))
     if out is not None:
         out.write_text("".join(json.dumps(row) + "\n" for row in rows))
     print("\n".join(summary(rows)))
 
 
-def rendering_scores(model: MVNeRF, held_out: PackedScenes, skip: int) -> list[dict[str, float]]:
-    """Returns each scene's mean scores over its unseen views, which are those after the first `skip`."""
+def measure(model: str, data: Path, scene: int, stride: int, candidates: int | None, keep: int | None) -> Row:
+    """Returns all figures of one scene."""
+    keep_freed_memory()
+    torch.set_num_threads(1)
+    method, held_out = Psi.from_pretrained(model), PackedScenes(data)
+    images = image_scores(method.model.backbone, held_out, scene, method.images, stride) if stride else {}
+    return {"scene": scene, **images, **grasp_scores(method, held_out, scene, candidates, keep)}
+
+
+def image_scores(model: MVNeRF, held_out: PackedScenes, scene: int, skip: int, stride: int) -> dict[str, float]:
+    """Returns one scene's mean scores over its unseen views, which are those after the first `skip`."""
     views = HeldOutViews(held_out, len(held_out), model.config.views, UNSEEN_VIEWS, skip)
-    scores: list[list[dict[str, float]]] = [[] for _ in range(len(held_out))]
-    for item in tqdm(range(len(views)), desc="views"):
-        view = views[item]
-        size = (view.images.shape[-1], view.images.shape[-2])
-        with torch.inference_mode():
-            features = model.observe(view.images, Camera(view.intrinsics, view.T_world_camera, *size))
-            camera = Camera(view.target_intrinsics, view.target_T_world_camera, *size)
-            rgb, _, inside = render_image(model, features, camera, held_out.workspace)
-        scored = image_scores(rgb.movedim(-1, 0), view.target, inside, view.objects)
-        scores[item // UNSEEN_VIEWS].append({name: value.item() for name, value in scored.items()})
-    return [{name: _mean([one[name] for one in some if name in one]) for name in IMAGE_SCORES} for some in scores]
+    scored = [
+        view_scores(model, views[scene * UNSEEN_VIEWS + view], held_out.workspace, stride)
+        for view in range(UNSEEN_VIEWS)
+    ]
+    return {name: _mean([one[name] for one in scored if name in one]) for name in IMAGE_SCORES}
 
 
-def grasp_scores(
-    method: Psi, held_out: PackedScenes, scene: int, candidates: int | None, keep: int | None
-) -> dict[str, float | str]:
+@torch.inference_mode()
+def view_scores(model: MVNeRF, view: ImageBatch, workspace: Workspace, stride: int) -> dict[str, float]:
+    """Renders what one view shows of the objects and of the workspace; no object seen, no score for objects."""
+    width, height = view.images.shape[-1], view.images.shape[-2]
+    features = model.observe(view.images, Camera(view.intrinsics, view.T_world_camera, width, height))
+    camera = Camera(view.target_intrinsics, view.target_T_world_camera, width, height)
+    origins, directions = pixel_rays(camera, pixel_centres(width, height).flatten(0, 1))
+    near, far = box_intersection(origins, directions, workspace.minimum, workspace.maximum)
+    objects = view.objects.flatten()
+    grid = torch.zeros(height, width, dtype=torch.bool)
+    grid[::stride, ::stride] = True
+    sampled = grid.flatten() & (far > near)
+    error = torch.zeros(len(origins))
+    for chosen in (objects | sampled).nonzero()[:, 0].split(RAYS_AT_A_TIME):
+        fine = model.render(features, origins[None, chosen], directions[None, chosen], workspace).fine
+        error[chosen] = (fine.colour[0] - view.target.flatten(1).T[chosen]).square().mean(dim=-1)
+    scores = {"psnr_workspace": _decibels(error[sampled])}
+    return {**scores, "psnr_objects": _decibels(error[objects])} if objects.any() else scores
+
+
+def grasp_scores(method: Psi, held_out: PackedScenes, scene: int, candidates: int | None, keep: int | None) -> Row:
     """Searches one scene's best grasp, and returns its errors and its outcome in physics."""
     found = held_out.scene(scene)
     generator = torch.Generator().manual_seed(scene)
@@ -105,14 +131,14 @@ def grasp_scores(
     }
 
 
-def summary(rows: list[dict[str, float | str]]) -> list[str]:
+def summary(rows: Sequence[Row]) -> list[str]:
     """Returns the lines of the table."""
     lines = []
     for name in IMAGE_SCORES:
         if name in rows[0]:
-            lines.append(f"{name:<24}{_mean([row[name] for row in rows]):8.3f}  mean over images")
+            lines.append(f"{name:<24}{_mean([float(row[name]) for row in rows]):8.2f}  dB, mean over images")
     for name in ("distance_mm", "angle_deg", "tilt_deg"):
-        values = torch.tensor([row[name] for row in rows])
+        values = torch.tensor([float(row[name]) for row in rows])
         low, middle, high = values.quantile(torch.tensor([0.25, 0.5, 0.75])).tolist()
         lines.append(f"{name:<24}{middle:8.2f}  median (quartiles {low:.2f}, {high:.2f})")
     successes = sum(row["outcome"] == Outcome.SUCCESS for row in rows)
@@ -124,7 +150,11 @@ def summary(rows: list[dict[str, float | str]]) -> list[str]:
     return lines
 
 
-def _mean(values: list[float]) -> float:
+def _decibels(squared_error: Tensor) -> float:
+    return -10.0 * squared_error.mean().log10().item()
+
+
+def _mean(values: Sequence[float]) -> float:
     return sum(values) / len(values)
 
 
