@@ -1,6 +1,6 @@
 """Grasp pose optimization by gradient ascent (Algorithm 1 of "Grasping from NeRFs")."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -8,9 +8,9 @@ from torch import Tensor
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.scenes.scene import Grasps, Workspace
-from nerfgrasp.search.candidates import random_candidates
+from nerfgrasp.search.candidates import random_candidates, scatter
 from nerfgrasp.search.ranking import best_first
-from nerfgrasp.search.schedule import PAPER, Phase, PoseParameterization, Schedule
+from nerfgrasp.search.schedule import PAPER, Phase, PoseParameterization, Round, Schedule
 
 Value = Callable[[Tensor], Tensor]
 """Maps `T_world_grasp` `[P, 4, 4]` to values `[P]`, differentiably and each pose by itself."""
@@ -72,10 +72,11 @@ def search(
     candidates: int,
     generator: torch.Generator,
     keep: int | None = None,
+    rounds: Sequence[Round] = (),
     schedule: Schedule = PAPER,
     chunk: int = 256,
 ) -> tuple[Grasps, Trace]:
-    """Draws random candidates, and lets the best of them climb.
+    """Draws random candidates, resamples around the best of them, and lets these climb.
 
     Args:
         value: the function to climb.
@@ -84,6 +85,7 @@ def search(
         candidates: how many random poses to draw.
         generator: the only source of randomness.
         keep: how many of them climb; None for all, which is the paper's way.
+        rounds: how the best are resampled before; none are if all climb.
         schedule: phases of steps.
         chunk: how many candidates are evaluated at once.
 
@@ -95,12 +97,20 @@ def search(
     """
     start = random_candidates(candidates, workspace, generator)
     if keep is not None and keep < candidates:
-        with torch.no_grad():
-            first = torch.cat([value(part) for part in start.split(chunk)])
-        start = best_first(start, first).T_world_grasp[:keep]
-        if len(start) == 0:
-            raise UserError("no candidate has a finite value: the model's weights may be damaged")
+        start = _best(value, start, keep, chunk)
+        for resampling in rounds:
+            copies = scatter(start, resampling.copies, resampling.distance, resampling.angle, workspace, generator)
+            start = _best(value, copies, keep, chunk)
     return ascend(value, start, pose, workspace, schedule, chunk=chunk)
+
+
+def _best(value: Value, poses: Tensor, keep: int, chunk: int) -> Tensor:
+    with torch.no_grad():
+        values = torch.cat([value(part) for part in poses.split(chunk)])
+    best = best_first(poses, values).T_world_grasp[:keep]
+    if len(best) == 0:
+        raise UserError("no candidate has a finite value: the model's weights may be damaged")
+    return best
 
 
 def _climb(value: Value, start: Tensor, pose: PoseParameterization, workspace: Workspace, schedule: Schedule) -> Trace:

@@ -67,3 +67,22 @@ PAPER = Schedule(
     )
 )
 """The schedule of "Grasping from NeRFs", section "Grasp pose optimization"."""
+
+
+@dataclass(frozen=True)
+class Round:
+    """A round of resampling before the climb: the best poses are surrounded by copies, and the best of all stay."""
+
+    copies: int
+    """Copies of each pose."""
+    distance: float
+    """Standard deviation of their shifts along each axis, metres."""
+    angle: float
+    """Standard deviation of their turns, radians."""
+
+
+ROUNDS = (Round(8, 0.03, 0.8), Round(8, 0.02, 0.5), Round(8, 0.01, 0.25), Round(8, 0.006, 0.12))
+"""From the size of an object and any direction down to what a gradient's step repairs."""
+
+CLIMB = Schedule((Phase(groups=("position", "orientation"), steps=16, learning_rate=0.005, decay=0.85),))
+"""A short ascent of both groups at once, from poses that resampling has brought near a maximum."""
