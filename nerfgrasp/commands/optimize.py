@@ -33,8 +33,8 @@ def optimize(
     *,
     model: str = DEFAULT_MODEL,
     pose: str = "quaternion",
-    candidates: int = 1024,
-    keep: int = 64,
+    candidates: int = 2048,
+    keep: int = 128,
     seed: int = 0,
     out: Path | None = None,
     execute: bool = False,
@@ -49,7 +49,7 @@ def optimize(
         model: a model's folder, a Hugging Face repository id, or the name of a shipped one.
         pose: the registered name of the pose parameterization to climb in.
         candidates: how many random poses are drawn.
-        keep: how many of them, the best, climb; as many as candidates is the paper's way.
+        keep: how many of them, the best, are resampled and climb; as many as candidates is the paper's Algorithm 1.
         seed: the same seed finds the same grasps.
         out: folder of the results; `SCENE-grasp` if not given.
         execute: carry the best grasp out in physics; for simulated scenes.

@@ -81,7 +81,7 @@ class Round:
     """Standard deviation of their turns, radians."""
 
 
-ROUNDS = (Round(8, 0.03, 0.8), Round(8, 0.02, 0.5), Round(8, 0.01, 0.25), Round(8, 0.006, 0.12))
+ROUNDS = (Round(10, 0.04, 1.2), Round(10, 0.03, 0.8), Round(8, 0.02, 0.5), Round(8, 0.012, 0.3), Round(8, 0.006, 0.15))
 """From the size of an object and any direction down to what a gradient's step repairs."""
 
 CLIMB = Schedule((Phase(groups=("position", "orientation"), steps=16, learning_rate=0.005, decay=0.85),))
