@@ -213,3 +213,18 @@ def test_light_commands_start_in_half_a_second(args: list[str]) -> None:
         return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
     assert min(seconds() for _ in range(3)) < 0.5
+
+
+def test_a_flag_needs_no_value() -> None:
+    from nerfgrasp.commands import parsing
+
+    def command(*, execute: bool = False, count: int = 1) -> tuple[bool, int]:
+        return execute, count
+
+    for args, expected in (
+        (["--execute"], (True, 1)),
+        (["--execute", "--count", "2"], (True, 2)),
+        (["--execute", "false"], (False, 1)),
+        ([], (False, 1)),
+    ):
+        assert parsing.call(command, args, prog="command") == expected

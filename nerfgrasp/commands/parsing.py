@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
-from typing import Any, NoReturn
+from typing import Any, NoReturn, get_type_hints
 
 from jsonargparse import ArgumentParser, auto_cli
 
@@ -42,7 +42,17 @@ def call(function: Callable[..., Any], args: list[str], *, prog: str) -> Any:
     Raises:
         UserError: the arguments or a `--config` do not fit the signature.
     """
-    return auto_cli(function, args=args, as_positional=False, parser_class=Parser, prog=prog)
+    return auto_cli(function, args=_flags_set(function, args), as_positional=False, parser_class=Parser, prog=prog)
+
+
+def _flags_set(function: Callable[..., Any], args: list[str]) -> list[str]:
+    """Returns the arguments with `--flag` written as `--flag=true` where a bool's option stands without a value."""
+    flags = {f"--{name}" for name, kind in get_type_hints(function).items() if kind is bool}
+    following = [*args[1:], "--"]
+    return [
+        f"{argument}=true" if argument in flags and after.startswith("-") else argument
+        for argument, after in zip(args, following, strict=False)
+    ]
 
 
 def one_line(message: str) -> str:

@@ -1,0 +1,36 @@
+"""What is shipped works together: the main job on the demo scene, with the default model."""
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from nerfgrasp.cli import main
+from nerfgrasp.models.folder import DEFAULT_MODEL, find_model
+from nerfgrasp.scenes.folder import read_scene
+from nerfgrasp.scenes.shipped import find_scene
+
+
+def test_the_default_model_is_small() -> None:
+    folder = find_model(DEFAULT_MODEL)
+    assert sum(path.stat().st_size for path in folder.iterdir()) < 8e6
+    assert (folder / "README.md").is_file()
+
+
+def test_the_demo_scene_is_drawn_from_a_seed_of_no_training_set() -> None:
+    truth = read_scene(find_scene("demo")).truth
+    assert truth is not None
+    configs = (Path(__file__).parents[1] / "configs").rglob("*.yaml")
+    assert all(f"seed: {truth.seed}" not in config.read_text() for config in configs)
+
+
+def test_the_best_grasp_in_the_demo_scene_succeeds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pybullet")
+    out = tmp_path / "demo"
+    assert main(["optimize", "--scene", "demo", "--execute", "--out", str(out)]) == 0
+    assert "success" in capsys.readouterr().out
+    best = json.loads((out / "grasps.json").read_text())["grasps"][0]
+    assert best["outcome"] == "success"
+    assert math.isfinite(best["value"])
+    assert {path.name for path in out.iterdir()} == {"grasps.json", "picture.png", "optimization.rrd"}
