@@ -1,8 +1,11 @@
+import pytest
+import roma
 import torch
 
-from nerfgrasp.geometry import is_rigid
+from nerfgrasp.geometry import is_rigid, make_pose
 from nerfgrasp.scenes.scene import Workspace
 from nerfgrasp.search import random_candidates
+from nerfgrasp.search.candidates import scatter
 
 
 def draw(count: int, workspace: Workspace, seed: int = 0) -> torch.Tensor:
@@ -35,3 +38,23 @@ def test_seed_decides_and_the_global_state_does_not(workspace: Workspace) -> Non
     torch.rand(3)
     assert torch.equal(first, draw(5, workspace))
     assert not torch.equal(first, draw(5, workspace, seed=1))
+
+
+def test_scatter_keeps_the_poses_and_spreads_copies_as_asked(workspace: Workspace) -> None:
+    generator = torch.Generator().manual_seed(0)
+    middle = (workspace.minimum + workspace.maximum) / 2
+    pose = make_pose(torch.eye(3), middle)[None]
+    scattered = scatter(pose, 4000, 0.01, 0.1, workspace, generator)
+    assert scattered.shape == (4001, 4, 4)
+    assert torch.equal(scattered[0], pose[0])
+    assert is_rigid(scattered).all()
+    assert torch.allclose((scattered[1:, :3, 3] - middle).std(dim=0), torch.full((3,), 0.01), rtol=0.1)
+    angle = roma.rotmat_to_rotvec(scattered[1:, :3, :3]).norm(dim=-1)
+    assert angle.square().mean().sqrt().item() == pytest.approx(0.1, rel=0.1)
+
+
+def test_scatter_stays_in_the_workspace(workspace: Workspace) -> None:
+    corner = make_pose(torch.eye(3), workspace.maximum)[None]
+    position = scatter(corner, 100, 0.05, 0.1, workspace, torch.Generator().manual_seed(0))[:, :3, 3]
+    assert (position >= workspace.minimum).all()
+    assert (position <= workspace.maximum).all()

@@ -7,6 +7,7 @@ from nerfgrasp.geometry import Camera, make_pose
 from nerfgrasp.scenes.scene import Observations, Workspace
 from nerfgrasp.search import psi
 from nerfgrasp.search.psi import Psi
+from nerfgrasp.search.schedule import CLIMB, PAPER
 
 
 class FakeValue(nn.Module):
@@ -51,8 +52,8 @@ def test_propose_finds_what_the_images_show(method: Psi, workspace: Workspace) -
 
 
 def test_propose_gives_different_grasps_best_first(method: Psi, workspace: Workspace) -> None:
-    grasps = method.propose(observe(3), workspace, generator=seeded(), count=4)
-    assert len(grasps) == 4
+    grasps = method.propose(observe(3), workspace, generator=seeded(), count=3)
+    assert len(grasps) == 3
     assert torch.equal(grasps.value, grasps.value.sort(descending=True).values)
 
 
@@ -72,7 +73,12 @@ def test_images_are_seen_once_and_no_more_than_asked_for(workspace: Workspace) -
 def test_search_takes_its_own_numbers_and_shows_the_way(method: Psi, workspace: Workspace) -> None:
     grasps, trace = method.search(observe(3), workspace, generator=seeded(), candidates=20, keep=5)
     assert len(grasps) == 5
-    assert trace.value.shape == (33, 5)
+    assert trace.value.shape == (CLIMB.steps + 1, 5)
+
+
+def test_all_candidates_climb_as_the_paper_has_it(method: Psi, workspace: Workspace) -> None:
+    _, trace = method.search(observe(3), workspace, generator=seeded(), candidates=8, keep=8)
+    assert trace.value.shape == (PAPER.steps + 1, 8)
 
 
 def test_a_search_trains_nothing(method: Psi, workspace: Workspace) -> None:
