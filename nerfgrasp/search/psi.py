@@ -70,7 +70,7 @@ class Psi:
         """Searches grasps and shows how the search went.
 
         If all candidates climb, they do so as in the paper's Algorithm 1; else the best are resampled before a
-        short climb, which finds higher values at a fraction of the cost (docs/results.md).
+        short climb (measured in docs/results.md).
 
         Args:
             observations: at least as many views as the model needs.
