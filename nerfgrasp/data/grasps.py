@@ -28,16 +28,16 @@ class Negatives:
     upright: int = 0
     """Anywhere in the workspace, turned about the vertical only: what tells a place from a direction."""
     perturbed: int = 0
-    """The demonstrated grasp, turned or moved too far to be good."""
+    """The demonstrated grasp, moved or turned just too far to be good."""
     near_distance: float = 0.01
     """Metres."""
-    least_shift: float = 0.012
-    """Metres by which a moved grasp is moved at least."""
+    least_shift: float = 0.006
+    """Metres by which a grasp is moved along its closing axis at least; twice that in any other direction."""
     most_shift: float = 0.05
     """Metres by which it is moved at most."""
-    least_turn: float = 0.3
+    least_turn: float = 0.15
     """Radians by which a turned grasp is turned at least."""
-    most_turn: float = 1.2
+    most_turn: float = 1.5
     """Radians by which it is turned at most."""
 
 
@@ -206,16 +206,26 @@ def draw_negatives(grasp: Tensor, workspace: Workspace, negatives: Negatives, ge
 
 
 def _perturbed(grasp: Tensor, negatives: Negatives, generator: np.random.Generator) -> Tensor:
-    """Turns every other copy of a grasp about a random axis or the approach, and moves the others."""
+    """Copies a grasp and moves half of the copies, turns the others, small changes as likely as large ones.
+
+    A quarter each moves along the closing axis (the fingers are no longer on either side) and turns about the
+    approach (they are no longer parallel to the faces): these are the changes that most surely spoil a grasp. An
+    eighth each turns about the other two axes; the last quarter moves in any direction, where the grasp may slide
+    along its object and stay good, and so moves farther.
+    """
     count = negatives.perturbed
-    moved = torch.arange(count) % 2 == 0
-    shift = _directions(count, generator) * _between(count, negatives.least_shift, negatives.most_shift, generator)
-    axis = _directions(count, generator)
-    axis[1::4] = torch.tensor([0.0, 0.0, 1.0])
-    turn = axis * _between(count, negatives.least_turn, negatives.most_turn, generator)
-    turn = torch.where(moved[:, None], torch.zeros(()), turn)
-    shift = torch.where(moved[:, None], shift, torch.zeros(()))
-    return grasp @ make_pose(roma.rotvec_to_rotmat(turn), shift)
+    kind = torch.arange(count) % 8
+    axes = torch.eye(3)[torch.tensor([0, 2, 0, 2, 0, 1, 0, 0])][kind]
+    axes[kind >= 6] = _directions(int((kind >= 6).sum()), generator)
+    axes *= torch.from_numpy(generator.choice([-1.0, 1.0], (count, 1))).float()
+    shift = _log_between(count, negatives.least_shift, negatives.most_shift, generator)
+    shift = torch.where(kind[:, None] >= 6, shift.clamp(min=2 * negatives.least_shift), shift)
+    turn = _log_between(count, negatives.least_turn, negatives.most_turn, generator)
+    turned = ((kind % 2 == 1) | (kind == 4))[:, None] & (kind[:, None] < 6)
+    zero = torch.zeros(())
+    return grasp @ make_pose(
+        roma.rotvec_to_rotmat(torch.where(turned, axes * turn, zero)), torch.where(turned, zero, axes * shift)
+    )
 
 
 def _rotations(count: int, generator: np.random.Generator) -> Tensor:
@@ -236,8 +246,8 @@ def _directions(count: int, generator: np.random.Generator) -> Tensor:
     return torch.nn.functional.normalize(_normal((count, 3), generator), dim=-1)
 
 
-def _between(count: int, least: float, most: float, generator: np.random.Generator) -> Tensor:
-    return torch.from_numpy(generator.uniform(least, most, (count, 1))).float()
+def _log_between(count: int, least: float, most: float, generator: np.random.Generator) -> Tensor:
+    return torch.from_numpy(np.exp(generator.uniform(np.log(least), np.log(most), (count, 1)))).float()
 
 
 def _uniform(shape: tuple[int, ...], most: float, generator: np.random.Generator) -> Tensor:

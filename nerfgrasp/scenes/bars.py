@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Fingers
 from nerfgrasp.scenes.prisms import Polygon, Prism
 
 STEP = 0.0005
@@ -19,29 +20,6 @@ MIN_OVERLAP = 0.008
 """Metres of face under each pad, at least."""
 VERTEX_OFFSET = 0.004
 """Metres that a vertex may be off the pads' middle."""
-
-
-@dataclass(frozen=True)
-class Fingers:
-    """What of a parallel gripper decides where it fits."""
-
-    stroke: float = 0.085
-    """Metres between the pads when open."""
-    max_width: float = 0.07
-    """The widest thing worth grasping, metres."""
-    thickness: float = 0.008
-    """Of a finger along the closing axis, metres."""
-    pad_width: float = 0.022
-    """Across the closing axis and the approach, metres."""
-    pad_height: float = 0.0375
-    """Along the approach, metres; the tool centre point is its middle."""
-    clearance: float = 0.003
-    """Metres to keep free around the open fingers."""
-    palm: float = 0.035
-    """Metres from the tool centre point that an object may reach towards the palm."""
-
-
-FINGERS_2F85 = Fingers()
 
 
 @dataclass(frozen=True)
@@ -58,7 +36,7 @@ class Bar:
     """Whether every horizontal closing axis will do."""
 
 
-def bars(prism: Prism, fingers: Fingers = FINGERS_2F85) -> list[Bar]:
+def bars(prism: Prism, fingers: Fingers = ROBOTIQ_2F85.fingers) -> list[Bar]:
     """Returns the bars of a prism between whose faces `fingers` fit; for the kinds of `Prism.kind`."""
     if prism.kind == "cylinder":
         return [Bar((0.0, 0.0), (0.0, 0.0), (1.0, 0.0), free_yaw=True)]

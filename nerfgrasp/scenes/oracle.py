@@ -15,7 +15,8 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from nerfgrasp.geometry import make_pose
-from nerfgrasp.scenes.bars import FINGERS_2F85, Fingers, bars
+from nerfgrasp.scenes.bars import bars
+from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Fingers
 from nerfgrasp.scenes.prisms import Prism
 
 MAX_TILT = math.radians(45.0)
@@ -49,7 +50,7 @@ class ValidGrasps:
         return self.corner.shape[0]
 
 
-def valid_grasps(objects: Sequence[Prism], fingers: Fingers = FINGERS_2F85) -> ValidGrasps:
+def valid_grasps(objects: Sequence[Prism], fingers: Fingers = ROBOTIQ_2F85.fingers) -> ValidGrasps:
     """Returns the valid grasps of upright prisms that stand on z = 0, well apart from each other."""
     rows: list[list[list[float]]] = []
     free_yaw, numbers = [], []

@@ -9,11 +9,14 @@ from torch import Tensor
 from nerfgrasp.errors import UserError
 from nerfgrasp.scenes.scene import Grasps, Workspace
 from nerfgrasp.search.candidates import random_candidates, scatter
+from nerfgrasp.search.clearance import TableClearance
 from nerfgrasp.search.ranking import best_first
 from nerfgrasp.search.schedule import PAPER, Phase, PoseParameterization, Round, Schedule
 
 Value = Callable[[Tensor], Tensor]
 """Maps `T_world_grasp` `[P, 4, 4]` to values `[P]`, differentiably and each pose by itself."""
+Projection = Callable[[dict[str, Tensor]], dict[str, Tensor]]
+"""Maps parameters to permitted ones nearby."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,7 @@ def ascend(
     workspace: Workspace,
     schedule: Schedule = PAPER,
     *,
+    clearance: TableClearance | None = None,
     chunk: int = 256,
 ) -> tuple[Grasps, Trace]:
     """Lets every candidate climb the value by Adam, post-processing its parameters after each step.
@@ -46,6 +50,7 @@ def ascend(
         pose: the parameterization to climb in.
         workspace: where the positions are kept.
         schedule: phases of steps.
+        clearance: what keeps every pose off the table; None for nothing, which is the paper's way.
         chunk: how many candidates climb at once.
 
     Returns:
@@ -54,7 +59,9 @@ def ascend(
     Raises:
         UserError: no final pose has a finite value.
     """
-    parts = [_climb(value, part, pose, workspace, schedule) for part in start.split(chunk)]
+    parts = [
+        _climb(value, part, pose, _projection(pose, workspace, clearance), schedule) for part in start.split(chunk)
+    ]
     trace = Trace(
         torch.cat([part.T_world_grasp for part in parts], dim=1), torch.cat([part.value for part in parts], dim=1)
     )
@@ -74,6 +81,7 @@ def search(
     keep: int | None = None,
     rounds: Sequence[Round] = (),
     schedule: Schedule = PAPER,
+    clearance: TableClearance | None = None,
     chunk: int = 256,
 ) -> tuple[Grasps, Trace]:
     """Draws random candidates, resamples around the best of them, and lets these climb.
@@ -87,6 +95,7 @@ def search(
         keep: how many of them climb; None for all, which is the paper's way.
         rounds: how the best are resampled before; none are if all climb.
         schedule: phases of steps.
+        clearance: see `ascend`.
         chunk: how many candidates are evaluated at once.
 
     Returns:
@@ -97,11 +106,25 @@ def search(
     """
     start = random_candidates(candidates, workspace, generator)
     if keep is not None and keep < candidates:
-        start = _best(value, start, keep, chunk)
+        start = _best(value, _clear(start, workspace, clearance), keep, chunk)
         for resampling in rounds:
             copies = scatter(start, resampling.copies, resampling.distance, resampling.angle, workspace, generator)
-            start = _best(value, copies, keep, chunk)
-    return ascend(value, start, pose, workspace, schedule, chunk=chunk)
+            start = _best(value, _clear(copies, workspace, clearance), keep, chunk)
+    return ascend(value, start, pose, workspace, schedule, clearance=clearance, chunk=chunk)
+
+
+def _clear(poses: Tensor, workspace: Workspace, clearance: TableClearance | None) -> Tensor:
+    return poses if clearance is None else clearance.lifted(poses, workspace)
+
+
+def _projection(pose: PoseParameterization, workspace: Workspace, clearance: TableClearance | None) -> Projection:
+    """Returns the post-processing of parameters."""
+
+    def project(params: dict[str, Tensor]) -> dict[str, Tensor]:
+        inside = pose.project(params, workspace)
+        return inside if clearance is None else clearance.project(pose, inside, workspace)
+
+    return project
 
 
 def _best(value: Value, poses: Tensor, keep: int, chunk: int) -> Tensor:
@@ -113,14 +136,14 @@ def _best(value: Value, poses: Tensor, keep: int, chunk: int) -> Tensor:
     return best
 
 
-def _climb(value: Value, start: Tensor, pose: PoseParameterization, workspace: Workspace, schedule: Schedule) -> Trace:
+def _climb(value: Value, start: Tensor, pose: PoseParameterization, project: Projection, schedule: Schedule) -> Trace:
     """Runs one chunk's ascent."""
     with torch.no_grad():
-        params = pose.project(pose.encode(start), workspace)
+        params = project(pose.encode(start))
     params = {group: param.detach().clone() for group, param in params.items()}
     poses, values = [], []
     for phase in schedule.phases:
-        for T, v in _steps(value, params, pose, workspace, phase, schedule.clip):
+        for T, v in _steps(value, params, pose, project, phase, schedule.clip):
             poses.append(T)
             values.append(v)
     with torch.no_grad():
@@ -133,7 +156,7 @@ def _steps(
     value: Value,
     params: dict[str, Tensor],
     pose: PoseParameterization,
-    workspace: Workspace,
+    project: Projection,
     phase: Phase,
     clip: float,
 ) -> Iterator[tuple[Tensor, Tensor]]:
@@ -153,7 +176,7 @@ def _steps(
         optimizer.step()
         rate.step()
         with torch.no_grad():
-            for group, projected in pose.project(params, workspace).items():
+            for group, projected in project(params).items():
                 params[group].copy_(projected)
         yield before
     for param in params.values():

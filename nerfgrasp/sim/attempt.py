@@ -8,9 +8,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Gripper
 from nerfgrasp.scenes.oracle import sample_top_down, valid_grasps
 from nerfgrasp.scenes.scene import Truth
-from nerfgrasp.sim.gripper import ROBOTIQ_2F85, Gripper
 from nerfgrasp.sim.physics import PHYSICS, Physics
 from nerfgrasp.sim.tasks import scene_generator, workspace
 from nerfgrasp.sim.world import Hand, Pose, World
@@ -105,14 +105,9 @@ def demonstrate(truth: Truth) -> Tensor | None:
     return None
 
 
-def cuts_table(T_world_grasp: Pose, gripper: Gripper = ROBOTIQ_2F85) -> bool:
-    """Whether any part of the open gripper at a grasp lies below the table's top, z = 0."""
-    rotation, position = T_world_grasp[:3, :3], T_world_grasp[:3, 3]
-    for centre, half in gripper.open_boxes():
-        lowest = position[2] + rotation[2] @ centre - np.abs(rotation[2]) @ half
-        if lowest < 0:
-            return True
-    return False
+def cuts_table(T_world_grasp: NDArray[np.floating] | Tensor, gripper: Gripper = ROBOTIQ_2F85) -> bool:
+    """Whether any part of the open gripper at a grasp `[4, 4]` lies below the table's top, z = 0."""
+    return bool(gripper.lowest(torch.as_tensor(T_world_grasp)) < 0)
 
 
 def _approach(world: World, hand: Hand, start: Pose, grasp: Pose) -> Outcome | None:

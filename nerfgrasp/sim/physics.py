@@ -4,7 +4,7 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass
 
-from nerfgrasp.sim.gripper import ROBOTIQ_2F85, Gripper
+from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Gripper
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ import roma
 import torch
 from numpy.typing import NDArray
 
+from nerfgrasp.scenes.gripper import Gripper
 from nerfgrasp.scenes.prisms import Prism, mass_properties
 from nerfgrasp.sim.bullet import p
-from nerfgrasp.sim.gripper import Gripper
 from nerfgrasp.sim.physics import Physics
 
 HULL_MARGIN = 0.001

@@ -84,18 +84,29 @@ def test_upright_negatives_keep_the_tilt(grasp: Tensor, workspace: Workspace) ->
 
 
 def test_perturbed_negatives_are_moved_or_turned_as_far_as_stated(grasp: Tensor, workspace: Workspace) -> None:
-    found = drawn(grasp, workspace, replace(NONE, perturbed=400))
-    moved, turned = found[::2], found[1::2]
-    distance = shifts(grasp, moved).norm(dim=-1)
-    assert 0.012 - 1e-5 <= distance.min() < 0.014
-    assert 0.046 < distance.max() <= 0.05 + 1e-5
-    assert turns(grasp, moved).max() < 2e-3
-    angle = turns(grasp, turned)
-    assert 0.3 - 1e-3 <= angle.min() < 0.35
-    assert 1.1 < angle.max() <= 1.2 + 1e-3
-    assert shifts(grasp, turned).abs().max() < 1e-6
-    about_approach = turned[::2]
-    torch.testing.assert_close(about_approach[:, :3, 2], grasp[:3, 2].expand(100, 3), atol=1e-5, rtol=0)
+    kinds = drawn(grasp, workspace, replace(NONE, perturbed=1600)).unflatten(0, (-1, 8)).transpose(0, 1)
+    across, anywhere = kinds[[0, 2]].flatten(0, 1), kinds[[6, 7]].flatten(0, 1)
+    about_approach, about_others = kinds[[1, 3]].flatten(0, 1), kinds[[4, 5]].flatten(0, 1)
+    for moved, least in ((across, 0.006), (anywhere, 0.012)):
+        distance = shifts(grasp, moved).norm(dim=-1)
+        assert least - 1e-5 <= distance.min() < 1.1 * least
+        assert 0.045 < distance.max() <= 0.05 + 1e-5
+        assert turns(grasp, moved).max() < 2e-3
+    for turned in (about_approach, about_others):
+        angle = turns(grasp, turned)
+        assert 0.15 - 1e-3 <= angle.min() < 0.17
+        assert 1.4 < angle.max() <= 1.5 + 1e-3
+        assert shifts(grasp, turned).abs().max() < 1e-6
+    along = shifts(grasp, across) @ grasp[:3, 0]
+    torch.testing.assert_close(along.abs(), shifts(grasp, across).norm(dim=-1), atol=1e-6, rtol=0)
+    assert 150 < (along > 0).sum() < 250  # either way
+    torch.testing.assert_close(about_approach[:, :3, 2], grasp[:3, 2].expand(400, 3), atol=1e-5, rtol=0)
+
+
+def test_small_perturbations_are_as_likely_as_large_ones(grasp: Tensor, workspace: Workspace) -> None:
+    found = drawn(grasp, workspace, replace(NONE, perturbed=1600))[::8]
+    middle = (0.006 * 0.05) ** 0.5
+    assert 70 < (shifts(grasp, found).norm(dim=-1) < middle).sum() < 130
 
 
 def test_negatives_are_a_function_of_their_generator(grasp: Tensor, workspace: Workspace) -> None:

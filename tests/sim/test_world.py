@@ -6,9 +6,9 @@ import numpy as np
 import pybullet as p
 import pytest
 
+from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
 from nerfgrasp.scenes.prisms import mass_properties
 from nerfgrasp.sim import shapes
-from nerfgrasp.sim.gripper import ROBOTIQ_2F85
 from nerfgrasp.sim.physics import PHYSICS, physics_hash
 from nerfgrasp.sim.tasks import simple_scene
 from nerfgrasp.sim.world import Hand, World

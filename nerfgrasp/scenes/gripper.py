@@ -2,7 +2,28 @@
 
 from dataclasses import dataclass, field
 
-from nerfgrasp.scenes.bars import FINGERS_2F85, Fingers
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Fingers:
+    """What of a parallel gripper decides where it fits."""
+
+    stroke: float = 0.085
+    """Metres between the pads when open."""
+    max_width: float = 0.07
+    """The widest thing worth grasping, metres."""
+    thickness: float = 0.008
+    """Of a finger along the closing axis, metres."""
+    pad_width: float = 0.022
+    """Across the closing axis and the approach, metres."""
+    pad_height: float = 0.0375
+    """Along the approach, metres; the tool centre point is its middle."""
+    clearance: float = 0.003
+    """Metres to keep free around the open fingers."""
+    palm: float = 0.035
+    """Metres from the tool centre point that an object may reach towards the palm."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +59,13 @@ class Gripper:
         body = ((0.0, 0.0, self.palm - self.body[2] / 2), (self.body[0] / 2, self.body[1] / 2, self.body[2] / 2))
         return [body, *sides]
 
+    def lowest(self, T_world_grasp: Tensor) -> Tensor:
+        """Returns the height `[...]` in metres of the lowest point of the open gripper at grasps `[..., 4, 4]`."""
+        centre, half = torch.tensor(self.open_boxes()).to(T_world_grasp).unbind(1)
+        up = T_world_grasp[..., 2, :3]
+        below = (up @ centre.T - up.abs() @ half.T).amin(dim=-1)
+        return T_world_grasp[..., 2, 3] + below
 
-ROBOTIQ_2F85 = Gripper("Robotiq 2F-85", FINGERS_2F85)
+
+ROBOTIQ_2F85 = Gripper("Robotiq 2F-85")
 """Measurements from its manual. Its mass, 0.925 kg, is shared out between body and fingers."""
