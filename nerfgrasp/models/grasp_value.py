@@ -27,6 +27,10 @@ class GraspValueConfig:
     """The first residual block's inner width."""
     output_width: int = 64
     """The width of what the residual blocks give."""
+    symmetric: bool = False
+    """Whether the value is the mean over the four orders in which a parallel gripper and its mirror images meet the
+    same poses: by construction half-turned grasps are worth the same, and what is learned on one side holds on the
+    other."""
 
 
 class GraspValue(nn.Module):
@@ -37,6 +41,7 @@ class GraspValue(nn.Module):
 
     rays: Tensor
     steps: Tensor
+    orders: Tensor
 
     def __init__(self, config: GraspValueConfig) -> None:
         super().__init__()
@@ -53,6 +58,8 @@ class GraspValue(nn.Module):
         self.readout = nn.Linear(config.output_width, 1)
         self.register_buffer("rays", probe_rays(), persistent=False)
         self.register_buffer("steps", probe_steps(), persistent=False)
+        orders = mirror_orders() if config.symmetric else torch.arange(len(probe_rays()))[None]
+        self.register_buffer("orders", orders, persistent=False)
 
     @property
     def views(self) -> int:
@@ -98,8 +105,9 @@ class GraspValue(nn.Module):
         activations = self.backbone.activations(features, points.flatten(1, 2), directions.flatten(1, 2))
         reduced = [elu(layer(a)) for layer, a in zip(self.reduce, activations, strict=True)]
         fused = elu(self.fuse(torch.cat(reduced, dim=-1)))
-        flat = fused.reshape(*T_world_grasp.shape[:2], -1)
-        return self.readout(elu(self.blocks(flat)))[..., 0]
+        probes = fused.view(*T_world_grasp.shape[:2], len(self.rays), -1)
+        flat = probes[:, :, self.orders].flatten(-2)
+        return self.readout(elu(self.blocks(flat)))[..., 0].mean(dim=-1)
 
     def _probes(self, T_world_grasp: Tensor) -> tuple[Tensor, Tensor]:
         """Points `[B, P, 6, 7, 3]` and directions `[B, P, 6, 3]` around grasps `[B, P, 4, 4]`."""
@@ -132,6 +140,16 @@ def probe_rays() -> Tensor:
     along = [_ray((0.0, y, 0.0), 0.0) for y in (0.015, -0.015)]
     inward = [_ray((x, y, 0.0125), -math.copysign(math.pi / 2, x)) for x in (0.02, -0.02) for y in (0.015, -0.015)]
     return torch.stack(along + inward)
+
+
+def mirror_orders() -> Tensor:
+    """Returns `[4, 6]` the numbers of the rays on which each ray falls when the gripper is mirrored.
+
+    The rays lie symmetric about the gripper's x-z and y-z planes; mirrored at both, the gripper is half turned.
+    """
+    positions = probe_rays()[:, :3, 3]
+    mirrors = torch.tensor([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [-1.0, -1.0, 1.0]])
+    return torch.stack([torch.cdist(positions * mirror, positions).argmin(dim=1) for mirror in mirrors])
 
 
 def probe_steps() -> Tensor:

@@ -22,10 +22,11 @@ class GraspValueTraining(LightningModule):
 
     Args:
         backbone: the pretrained MVNeRF: a model folder, a shipped model's name or a hub id. It stays frozen.
-        activation_width: see `GraspValueConfig`, as the three that follow.
+        activation_width: see `GraspValueConfig`, as the four that follow.
         pose_width: likewise.
         hidden_width: likewise.
         output_width: likewise.
+        symmetric: likewise.
         loss: `softmax` picks the demonstrated grasp among a scene's poses; `binary` judges each pose by itself.
         learning_rate: Adam's.
         schedule: how it changes over the steps.
@@ -40,6 +41,7 @@ class GraspValueTraining(LightningModule):
         pose_width: int = 64,
         hidden_width: int = 128,
         output_width: int = 64,
+        symmetric: bool = False,
         loss: Literal["softmax", "binary"] = "softmax",
         learning_rate: float = 1e-4,
         schedule: LearningRate = LearningRate(warmup_steps=0, decay="constant"),
@@ -49,7 +51,8 @@ class GraspValueTraining(LightningModule):
         super().__init__()
         pretrained = load_model(backbone)
         pretrained = pretrained if isinstance(pretrained, MVNeRF) else pretrained.backbone
-        config = GraspValueConfig(pretrained.config, activation_width, pose_width, hidden_width, output_width)
+        widths = (activation_width, pose_width, hidden_width, output_width)
+        config = GraspValueConfig(pretrained.config, *widths, symmetric)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = GraspValue(config)

@@ -9,7 +9,7 @@ from torch import Tensor
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import Camera, invert, make_pose, transform
 from nerfgrasp.models import EncoderConfig, GraspValue, GraspValueConfig, MVNeRFConfig
-from nerfgrasp.models.grasp_value import probe_rays, probe_steps
+from nerfgrasp.models.grasp_value import mirror_orders, probe_rays, probe_steps
 from nerfgrasp.scenes.scene import Observations
 
 
@@ -163,3 +163,41 @@ def test_observing_keeps_no_graph_and_the_head_is_all_but_the_backbone(model: Gr
 def test_probe_frames_are_not_saved(model: GraspValue) -> None:
     assert not {"rays", "steps"} & set(model.state_dict())
     torch.testing.assert_close(invert(model.rays) @ model.rays, torch.eye(4).expand(6, 4, 4), atol=1e-6, rtol=0)
+
+
+@pytest.fixture
+def symmetric(tiny_network: Callable[..., Any]) -> GraspValue:
+    torch.manual_seed(0)
+    return GraspValue(GraspValueConfig(tiny_network(), symmetric=True)).eval()
+
+
+def test_mirrored_rays_are_the_rays_in_another_order() -> None:
+    identity, across, along, both = mirror_orders()
+    assert identity.tolist() == [0, 1, 2, 3, 4, 5]
+    assert across.tolist() == [0, 1, 4, 5, 2, 3]
+    assert along.tolist() == [1, 0, 3, 2, 5, 4]
+    assert torch.equal(both, across[along])
+
+
+def test_symmetric_value_of_a_half_turned_grasp_is_the_same(
+    model: GraspValue, symmetric: GraspValue, observations: Observations
+) -> None:
+    grasps = poses(5)
+    turned = grasps @ torch.diag(torch.tensor([-1.0, -1.0, 1.0, 1.0]))
+    for network, same in ((symmetric, True), (model, False)):
+        features = network.observe(observations)
+        with torch.no_grad():
+            before, after = (network.value(features, T) for T in (grasps, turned))
+        assert torch.allclose(before, after, atol=1e-5) == same
+
+
+def test_symmetric_value_is_the_mean_over_the_orders(symmetric: GraspValue, observations: Observations) -> None:
+    features = symmetric.observe(observations)
+    with torch.no_grad():
+        value = symmetric.value(features, poses(5))
+        orders, single = symmetric.orders, []
+        for order in orders:
+            symmetric.orders = order[None]
+            single.append(symmetric.value(features, poses(5)))
+    torch.testing.assert_close(torch.stack(single).mean(0), value, atol=1e-5, rtol=1e-5)
+    assert torch.stack(single).std(0).max() > 1e-4
