@@ -22,7 +22,7 @@ from nerfgrasp.commands.generate import generate
 from nerfgrasp.data.packed import PackedScenes
 from nerfgrasp.data.rays import HeldOutViews, ImageBatch
 from nerfgrasp.evaluation.statistics import wilson_interval
-from nerfgrasp.geometry import Camera, box_intersection, pixel_centres, pixel_rays
+from nerfgrasp.geometry import box_intersection, pixel_centres, pixel_rays
 from nerfgrasp.models import MVNeRF
 from nerfgrasp.models.folder import DEFAULT_MODEL
 from nerfgrasp.scenes.oracle import grasp_errors, valid_grasps
@@ -96,9 +96,9 @@ def image_scores(model: MVNeRF, held_out: PackedScenes, scene: int, skip: int, s
 @torch.inference_mode()
 def view_scores(model: MVNeRF, view: ImageBatch, workspace: Workspace, stride: int) -> dict[str, float]:
     """Renders what one view shows of the objects and of the workspace; no object seen, no score for objects."""
-    width, height = view.images.shape[-1], view.images.shape[-2]
-    features = model.observe(view.images, Camera(view.intrinsics, view.T_world_camera, width, height))
-    camera = Camera(view.target_intrinsics, view.target_T_world_camera, width, height)
+    features = model.observe(view.inputs.images, view.inputs.camera())
+    camera = view.target.camera()
+    width, height = camera.width, camera.height
     origins, directions = pixel_rays(camera, pixel_centres(width, height).flatten(0, 1))
     near, far = box_intersection(origins, directions, workspace.minimum, workspace.maximum)
     objects = view.objects.flatten()
@@ -108,7 +108,7 @@ def view_scores(model: MVNeRF, view: ImageBatch, workspace: Workspace, stride: i
     error = torch.zeros(len(origins))
     for chosen in (objects | sampled).nonzero()[:, 0].split(RAYS_AT_A_TIME):
         fine = model.render(features, origins[None, chosen], directions[None, chosen], workspace).fine
-        error[chosen] = (fine.colour[0] - view.target.flatten(1).T[chosen]).square().mean(dim=-1)
+        error[chosen] = (fine.colour[0] - view.target.images.flatten(1).T[chosen]).square().mean(dim=-1)
     scores = {"psnr_workspace": _decibels(error[sampled])}
     return {**scores, "psnr_objects": _decibels(error[objects])} if objects.any() else scores
 

@@ -7,13 +7,13 @@ import numpy as np
 import roma
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import DataLoader, Dataset, default_collate
 
 from nerfgrasp.data.packed import PackedScenes
-from nerfgrasp.data.rays import input_views
 from nerfgrasp.data.streams import SceneSet, StepDataModule, check_enough
+from nerfgrasp.data.views import Views, read_views
 from nerfgrasp.errors import UserError
-from nerfgrasp.geometry import Camera, make_pose
+from nerfgrasp.geometry import make_pose
 from nerfgrasp.scenes.scene import Workspace
 
 
@@ -42,25 +42,16 @@ class Negatives:
 
 
 class GraspBatch(NamedTuple):
-    """Poses to be valued in B scenes."""
+    """Poses to be valued in B scenes; one scene's has no leading B."""
 
     scene: Tensor
     """`[B]`: the scenes' numbers in their set."""
     view: Tensor
     """`[B, V]`: the input views' numbers."""
-    images: Tensor
-    """`[B, V, 3, H, W]`, RGB in [0, 1]."""
-    intrinsics: Tensor
-    """`[B, V, 3, 3]`."""
-    T_world_camera: Tensor
-    """`[B, V, 4, 4]`."""
+    inputs: Views
+    """Batch shape `[B, V]`."""
     T_world_grasp: Tensor
     """`[B, P, 4, 4]`: the demonstrated grasp first, then the negatives."""
-
-    def camera(self) -> Camera:
-        """Returns the input views' cameras, batch shape `[B, V]`."""
-        height, width = self.images.shape[-2:]
-        return Camera(self.intrinsics, self.T_world_camera, width, height)
 
 
 class GraspData(StepDataModule):
@@ -120,13 +111,14 @@ class GraspData(StepDataModule):
         assert self.train_scenes is not None
         chosen = generator.choice(sorted(self.train_grasps), self.scenes_per_step, replace=False)
         drawn = [self._draw_scene(int(scene), generator) for scene in chosen]
-        return GraspBatch(*(torch.stack(parts) for parts in zip(*drawn, strict=True)))
+        batch: GraspBatch = default_collate(drawn)
+        return batch
 
-    def _draw_scene(self, scene: int, generator: np.random.Generator) -> tuple[Tensor, ...]:
+    def _draw_scene(self, scene: int, generator: np.random.Generator) -> GraspBatch:
         assert self.train_scenes is not None
         all_views = np.arange(self.train_scenes.images.shape[1])
         view = (generator.permutation(all_views) if self.random_views else all_views)[: self.views]
-        return _grasp_item(self.train_scenes, scene, view, self.train_grasps[scene], self.negatives, generator)
+        return _draw_one(self.train_scenes, scene, view, self.train_grasps[scene], self.negatives, generator)
 
     def val_dataloader(self) -> DataLoader:
         """Returns the held-out scenes, each with negatives that are the same every time."""
@@ -150,22 +142,23 @@ class HeldOutGrasps(Dataset[GraspBatch]):
             raise IndexError(item)
         scene, grasp = self.grasps[item]
         generator = np.random.default_rng((self.seed, scene))
-        drawn = _grasp_item(self.scenes, scene, np.arange(self.views), grasp, self.negatives, generator)
-        return GraspBatch(*(part[None] for part in drawn))
+        drawn = _draw_one(self.scenes, scene, np.arange(self.views), grasp, self.negatives, generator)
+        batch: GraspBatch = default_collate([drawn])
+        return batch
 
 
-def _grasp_item(
+def _draw_one(
     scenes: PackedScenes,
     scene: int,
     view: np.ndarray,
     grasp: Tensor,
     negatives: Negatives,
     generator: np.random.Generator,
-) -> tuple[Tensor, ...]:
+) -> GraspBatch:
     poses = torch.cat(
         [half_turned(grasp[None], generator), draw_negatives(grasp, scenes.workspace, negatives, generator)]
     )
-    return (torch.tensor(scene), torch.from_numpy(view), *input_views(scenes, scene, view), poses)
+    return GraspBatch(torch.tensor(scene), torch.from_numpy(view), read_views(scenes, scene, view), poses)
 
 
 def demonstrations(scenes: PackedScenes) -> dict[int, Tensor]:

@@ -5,56 +5,40 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import DataLoader, Dataset, default_collate
 
 from nerfgrasp.data.packed import PackedScenes
 from nerfgrasp.data.streams import SceneSet, StepDataModule, check_enough
-from nerfgrasp.geometry import Camera, box_intersection, pixel_rays
+from nerfgrasp.data.views import Views, read_views
+from nerfgrasp.geometry import box_intersection, pixel_rays
 
 
 class RayBatch(NamedTuple):
-    """Rays to be rendered from B scenes."""
+    """Rays to be rendered from B scenes; one scene's has no leading B."""
 
-    images: Tensor
-    """`[B, V, 3, H, W]`: the input views, RGB in [0, 1]."""
-    intrinsics: Tensor
-    """`[B, V, 3, 3]`, of the input views."""
-    T_world_camera: Tensor
-    """`[B, V, 4, 4]`, of the input views."""
+    inputs: Views
+    """Batch shape `[B, V]`."""
     origins: Tensor
     """`[B, R, 3]`, metres, world frame."""
     directions: Tensor
     """`[B, R, 3]`, unit."""
     colours: Tensor
-    """`[B, R, 3]`: what the target views show there, RGB in [0, 1]."""
+    """`[B, R, 3]`: what other views of the scenes show there, RGB in [0, 1]."""
     minimum: Tensor
     """`[B, 1, 3]`: the workspace's lower corner, metres."""
     maximum: Tensor
     """`[B, 1, 3]`: its upper corner."""
 
-    def camera(self) -> Camera:
-        """Returns the input views' cameras, batch shape `[B, V]`."""
-        height, width = self.images.shape[-2:]
-        return Camera(self.intrinsics, self.T_world_camera, width, height)
-
 
 class ImageBatch(NamedTuple):
     """One scene's input views and one other view of it, whole."""
 
-    images: Tensor
-    """`[1, V, 3, H, W]`: the input views."""
-    intrinsics: Tensor
-    """`[1, V, 3, 3]`, of the input views."""
-    T_world_camera: Tensor
-    """`[1, V, 4, 4]`, of the input views."""
-    target: Tensor
-    """`[3, H, W]`: the other view, RGB in [0, 1]."""
+    inputs: Views
+    """Batch shape `[1, V]`."""
+    target: Views
+    """The other view, batch shape `[]`."""
     objects: Tensor
     """`[H, W]` bool: where the other view shows an object."""
-    target_intrinsics: Tensor
-    """`[3, 3]`."""
-    target_T_world_camera: Tensor
-    """`[4, 4]`."""
 
 
 class RayData(StepDataModule):
@@ -113,9 +97,10 @@ class RayData(StepDataModule):
         assert self.train_scenes is not None
         chosen = generator.choice(len(self.train_scenes), self.scenes_per_step, replace=False)
         drawn = [self._draw_scene(self.train_scenes, int(scene), generator) for scene in chosen]
-        return RayBatch(*(torch.stack(parts) for parts in zip(*drawn, strict=True)))
+        batch: RayBatch = default_collate(drawn)
+        return batch
 
-    def _draw_scene(self, scenes: PackedScenes, scene: int, generator: np.random.Generator) -> tuple[Tensor, ...]:
+    def _draw_scene(self, scenes: PackedScenes, scene: int, generator: np.random.Generator) -> RayBatch:
         order = generator.permutation(scenes.images.shape[1])
         inputs, targets = order[: self.views], order[self.views : self.views + self.target_views]
         view, y, x = self._draw_pixels(scenes, scene, targets, generator)
@@ -123,9 +108,9 @@ class RayData(StepDataModule):
         camera = scenes.camera(scene)[torch.from_numpy(view)]
         origins, directions = (part[:, 0] for part in pixel_rays(camera, pixels[:, None]))
         colours = torch.from_numpy(scenes.images[scene][view, y, x].astype(np.float32) / 255.0)
-        images, intrinsics, T_world_camera = input_views(scenes, scene, inputs)
         box = scenes.workspace
-        return (images, intrinsics, T_world_camera, origins, directions, colours, box.minimum[None], box.maximum[None])
+        views = read_views(scenes, scene, inputs)
+        return RayBatch(views, origins, directions, colours, box.minimum[None], box.maximum[None])
 
     def _draw_pixels(
         self, scenes: PackedScenes, scene: int, targets: np.ndarray, generator: np.random.Generator
@@ -171,25 +156,7 @@ class HeldOutViews(Dataset[ImageBatch]):
             raise IndexError(item)
         scene, target = divmod(item, self.targets)
         target += self.skip
-        images, intrinsics, T_world_camera = input_views(self.scenes, scene, np.arange(self.views))
-        truth = self.scenes.camera(scene)[target]
-        return ImageBatch(
-            images[None],
-            intrinsics[None],
-            T_world_camera[None],
-            to_float(self.scenes.images[scene, target]),
-            torch.from_numpy(self.scenes.masks[scene, target] > 0),
-            truth.intrinsics,
-            truth.T_world_camera,
-        )
-
-
-def input_views(scenes: PackedScenes, scene: int, views: np.ndarray) -> tuple[Tensor, Tensor, Tensor]:
-    """Returns images `[V, 3, H, W]`, intrinsics `[V, 3, 3]` and `T_world_camera` `[V, 4, 4]` of some views."""
-    camera = scenes.camera(scene)[torch.from_numpy(views)]
-    return to_float(scenes.images[scene][views]), camera.intrinsics, camera.T_world_camera
-
-
-def to_float(images: np.ndarray) -> Tensor:
-    """Maps uint8 `[..., H, W, 3]` to float32 `[..., 3, H, W]` in [0, 1]."""
-    return torch.from_numpy(images.astype(np.float32) / 255.0).movedim(-1, -3).contiguous()
+        inputs = default_collate([read_views(self.scenes, scene, np.arange(self.views))])
+        views = read_views(self.scenes, scene, np.array([target]))
+        objects = torch.from_numpy(self.scenes.masks[scene, target] > 0)
+        return ImageBatch(inputs, Views(*(part[0] for part in views)), objects)

@@ -23,16 +23,16 @@ class FeatureCache:
     def __call__(self, batch: GraspBatch) -> SceneFeatures:
         """Returns the features of the batch's B scenes, for the fine field only."""
         if not self.enabled:
-            return self.backbone.observe(batch.images, batch.camera(), fine_only=True)
+            return self.backbone.observe(batch.inputs.images, batch.inputs.camera(), fine_only=True)
         scenes = range(len(batch.scene))
         views = range(batch.view.shape[1])
         maps = torch.stack([torch.stack([self._one(batch, scene, view) for view in views]) for scene in scenes])
-        return SceneFeatures(None, ViewMaps(maps.float(), batch.images, batch.camera()))
+        return SceneFeatures(None, ViewMaps(maps.float(), batch.inputs.images, batch.inputs.camera()))
 
     def _one(self, batch: GraspBatch, scene: int, view: int) -> Tensor:
         key = (int(batch.scene[scene]), int(batch.view[scene, view]))
         if key not in self._maps:
-            camera = batch.camera()[scene : scene + 1, view : view + 1]
-            image = batch.images[scene : scene + 1, view : view + 1]
+            camera = batch.inputs.camera()[scene : scene + 1, view : view + 1]
+            image = batch.inputs.images[scene : scene + 1, view : view + 1]
             self._maps[key] = self.backbone.observe(image, camera, fine_only=True).fine.features[0, 0].half()
         return self._maps[key]

@@ -3,21 +3,21 @@
 from typing import Any, Literal
 
 import torch
-from lightning import LightningModule
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
-from torchmetrics import MeanMetric, MetricCollection
+from torchmetrics import MeanMetric
 
 from nerfgrasp.data.grasps import GraspBatch
 from nerfgrasp.errors import UserError
 from nerfgrasp.models import GraspValue, GraspValueConfig, MVNeRF
 from nerfgrasp.models.folder import load_model, weights_hash
 from nerfgrasp.training.features import FeatureCache
+from nerfgrasp.training.module import ScheduledTraining
 from nerfgrasp.training.schedule import LearningRate
 
 
-class GraspValueTraining(LightningModule):
+class GraspValueTraining(ScheduledTraining):
     """Cross entropy over poses, Adam on the readout alone. The defaults are the paper's.
 
     Args:
@@ -48,7 +48,7 @@ class GraspValueTraining(LightningModule):
         cache_features: bool = True,
         seed: int = 0,
     ) -> None:
-        super().__init__()
+        super().__init__(schedule, {"loss": MeanMetric(), "top1": MeanMetric()})
         pretrained = load_model(backbone)
         pretrained = pretrained if isinstance(pretrained, MVNeRF) else pretrained.backbone
         widths = (activation_width, pose_width, hidden_width, output_width)
@@ -58,12 +58,8 @@ class GraspValueTraining(LightningModule):
             self.network = GraspValue(config)
         self.network.backbone = pretrained.requires_grad_(False).eval()
         self.backbone_hash = weights_hash(pretrained)
-        self.loss, self.learning_rate, self.schedule = loss, learning_rate, schedule
+        self.loss, self.learning_rate = loss, learning_rate
         self.features = FeatureCache(self.network.backbone, enabled=cache_features)
-        # No compute groups: they would let metrics share what each counts by itself.
-        self.held_out = MetricCollection(
-            {"loss": MeanMetric(), "top1": MeanMetric()}, prefix="val/", compute_groups=False
-        )
 
     def train(self, mode: bool = True) -> "GraspValueTraining":
         """Sets the mode; the backbone stays in evaluation mode."""
@@ -81,24 +77,14 @@ class GraspValueTraining(LightningModule):
 
     def validation_step(self, batch: GraspBatch, batch_idx: int) -> None:
         """Values a held-out scene's poses."""
-        features = self.network.backbone.observe(batch.images, batch.camera(), fine_only=True)
+        features = self.network.backbone.observe(batch.inputs.images, batch.inputs.camera(), fine_only=True)
         values = self.network(features, batch.T_world_grasp)
         self.held_out["loss"].update(grasp_loss(values, self.loss))
         self.held_out["top1"].update(_top1(values))
 
-    def on_validation_epoch_end(self) -> None:
-        """Logs the means over the held-out scenes."""
-        self.log_dict(self.held_out.compute(), prog_bar=True)
-        self.held_out.reset()
-
-    test_step = validation_step
-    on_test_epoch_end = on_validation_epoch_end
-
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Returns Adam on the readout."""
-        optimizer = torch.optim.Adam(self.network.head_parameters(), lr=self.learning_rate)
-        scheduler = torch.optim.lr_scheduler.LambdaLR(optimizer, self.schedule)
-        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "step"}}
+        return self.adam([{"params": self.network.head_parameters(), "lr": self.learning_rate}])
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Leaves the frozen backbone's weights out and keeps their hash instead."""

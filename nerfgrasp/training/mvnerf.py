@@ -1,20 +1,19 @@
 """Pretraining an MVNeRF by reconstructing views that it has not seen."""
 
 import torch
-from lightning import LightningModule
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from torch import Tensor
-from torchmetrics import MeanMetric, MetricCollection
+from torchmetrics import MeanMetric
 from torchmetrics.functional.image import peak_signal_noise_ratio, structural_similarity_index_measure
 
 from nerfgrasp.data.rays import ImageBatch, RayBatch
-from nerfgrasp.geometry import Camera
 from nerfgrasp.models import MVNeRF, MVNeRFConfig, render_image
 from nerfgrasp.scenes.scene import Workspace
+from nerfgrasp.training.module import ScheduledTraining
 from nerfgrasp.training.schedule import LearningRate
 
 
-class MVNeRFTraining(LightningModule):
+class MVNeRFTraining(ScheduledTraining):
     """Mean squared error of the coarse and the fine rendering, Adam. The defaults are the paper's.
 
     Args:
@@ -33,20 +32,17 @@ class MVNeRFTraining(LightningModule):
         schedule: LearningRate = LearningRate(),
         seed: int = 0,
     ) -> None:
-        super().__init__()
+        super().__init__(schedule, {name: MeanMetric() for name in ("psnr", "psnr_objects", "ssim")})
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = MVNeRF(network)
         self.learning_rate, self.encoder_learning_rate = learning_rate, encoder_learning_rate
-        self.schedule, self.seed = schedule, seed
-        names = ("psnr", "psnr_objects", "ssim")
-        # No compute groups: they would let metrics share what each counts by itself.
-        self.held_out = MetricCollection({name: MeanMetric() for name in names}, prefix="val/", compute_groups=False)
+        self.seed = seed
 
     def training_step(self, batch: RayBatch, batch_idx: int) -> Tensor:
         """Returns the loss of one batch of rays."""
         generator = torch.Generator().manual_seed(self.seed + 1_000_003 * (self.global_step + 1))
-        features = self.network.observe(batch.images, batch.camera())
+        features = self.network.observe(batch.inputs.images, batch.inputs.camera())
         box = Workspace(batch.minimum, batch.maximum)
         rendered = self.network.render(features, batch.origins, batch.directions, box, generator)
         coarse = (rendered.coarse.colour - batch.colours).square().mean()
@@ -57,32 +53,21 @@ class MVNeRFTraining(LightningModule):
 
     def validation_step(self, batch: ImageBatch, batch_idx: int) -> None:
         """Renders a whole held-out view and measures it over the workspace and over the objects."""
-        camera = Camera(batch.intrinsics, batch.T_world_camera, batch.images.shape[-1], batch.images.shape[-2])
-        features = self.network.observe(batch.images, camera)
-        target = Camera(batch.target_intrinsics, batch.target_T_world_camera, camera.width, camera.height)
-        rgb, _, inside = render_image(self.network, features, target, self._workspace())
-        for name, value in image_scores(rgb.movedim(-1, 0), batch.target, inside, batch.objects).items():
+        features = self.network.observe(batch.inputs.images, batch.inputs.camera())
+        rgb, _, inside = render_image(self.network, features, batch.target.camera(), self._workspace())
+        for name, value in image_scores(rgb.movedim(-1, 0), batch.target.images, inside, batch.objects).items():
             self.held_out[name].update(value)
-
-    def on_validation_epoch_end(self) -> None:
-        """Logs the means over the held-out views."""
-        self.log_dict(self.held_out.compute(), prog_bar=True)
-        self.held_out.reset()
-
-    test_step = validation_step
-    on_test_epoch_end = on_validation_epoch_end
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Returns Adam with a rate for the encoder and one for the fields."""
         encoder = list(self.network.encoder.parameters())
         fields = [*self.network.coarse.parameters(), *self.network.fine.parameters()]
-        groups = [
-            {"params": encoder, "lr": self.encoder_learning_rate},
-            {"params": fields, "lr": self.learning_rate},
-        ]
-        optimizer = torch.optim.Adam(groups)
-        scheduler = torch.optim.lr_scheduler.LambdaLR(optimizer, self.schedule)
-        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "step"}}
+        return self.adam(
+            [
+                {"params": encoder, "lr": self.encoder_learning_rate},
+                {"params": fields, "lr": self.learning_rate},
+            ]
+        )
 
     def _workspace(self) -> Workspace:
         return self.trainer.datamodule.held_out.workspace.to(self.device)  # type: ignore[attr-defined]

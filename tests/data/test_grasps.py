@@ -10,8 +10,8 @@ from torch import Tensor
 
 from nerfgrasp.data.grasps import GraspBatch, GraspData, Negatives, demonstrations, draw_negatives, half_turned
 from nerfgrasp.data.packed import PackedScenes
-from nerfgrasp.data.rays import to_float
 from nerfgrasp.data.streams import SceneSet
+from nerfgrasp.data.views import to_float
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import invert, is_rigid, make_pose
 from nerfgrasp.scenes.scene import Workspace
@@ -136,17 +136,17 @@ def test_a_batch(packed_set: Path) -> None:
     assert sorted(found.scene.tolist()) == [0, 1, 2]
     assert found.view.shape == (3, 2)
     assert found.T_world_grasp.shape == (3, 12, 4, 4)
-    assert found.camera().T_world_camera.shape == (3, 2, 4, 4)
+    assert found.inputs.camera().T_world_camera.shape == (3, 2, 4, 4)
     for b, scene in enumerate(found.scene.tolist()):
         shown = to_float(scenes.images[scene][found.view[b].numpy()])
-        assert torch.equal(found.images[b], shown)
-        assert torch.equal(found.T_world_camera[b], scenes.camera(scene).T_world_camera[found.view[b]])
+        assert torch.equal(found.inputs.images[b], shown)
+        assert torch.equal(found.inputs.T_world_camera[b], scenes.camera(scene).T_world_camera[found.view[b]])
         demonstrated = scenes.truth(scene).demonstration
         assert demonstrated is not None
         relative = invert(demonstrated) @ found.T_world_grasp[b, 0]
         assert min((relative - same).abs().max() for same in (torch.eye(4), HALF_TURN)) < 1e-5
     again = grasps(packed_set).draw(np.random.default_rng(3))
-    assert all(torch.equal(one, other) for one, other in zip(found, again, strict=True))
+    torch.testing.assert_close(found, again, rtol=0, atol=0)
 
 
 def test_views_are_random_or_the_first(packed_set: Path) -> None:

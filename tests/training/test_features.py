@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from nerfgrasp.data.grasps import GraspBatch
+from nerfgrasp.data.views import Views
 from nerfgrasp.geometry import Camera
 from nerfgrasp.models import MVNeRF
 from nerfgrasp.training.features import FeatureCache
@@ -26,9 +27,11 @@ def batch(cameras: Callable[..., Camera], scenes: list[int], views: list[list[in
     return GraspBatch(
         torch.tensor(scenes),
         torch.tensor(views),
-        torch.stack(images),
-        camera.intrinsics.expand(len(scenes), 2, 3, 3),
-        camera.T_world_camera.expand(len(scenes), 2, 4, 4),
+        Views(
+            torch.stack(images),
+            camera.intrinsics.expand(len(scenes), 2, 3, 3),
+            camera.T_world_camera.expand(len(scenes), 2, 4, 4),
+        ),
         torch.eye(4).expand(len(scenes), 5, 4, 4),
     )
 
@@ -40,8 +43,8 @@ def test_the_cache_gives_what_observing_gives(backbone: MVNeRF, cameras: Callabl
     assert plain.coarse is None
     assert cached.fine.features.dtype == torch.float32
     torch.testing.assert_close(cached.fine.features, plain.fine.features, atol=2e-3, rtol=2e-3)
-    assert torch.equal(cached.fine.images, asked.images)
-    assert torch.equal(cached.fine.camera.T_world_camera, asked.T_world_camera)
+    assert torch.equal(cached.fine.images, asked.inputs.images)
+    assert torch.equal(cached.fine.camera.T_world_camera, asked.inputs.T_world_camera)
     assert not cached.fine.features.requires_grad
     assert not plain.fine.features.requires_grad
 

@@ -1,0 +1,42 @@
+"""What the trainings share: scores over held-out scenes, and Adam under a schedule."""
+
+from typing import Any
+
+import torch
+from lightning import LightningModule
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
+from torchmetrics import Metric, MetricCollection
+
+from nerfgrasp.training.schedule import LearningRate
+
+
+class ScheduledTraining(LightningModule):
+    """A LightningModule whose `validation_step` updates `held_out` and that steps its schedule with its optimizer.
+
+    Args:
+        schedule: how the learning rates change over the steps.
+        held_out: metrics by name; logged under `val/`.
+    """
+
+    def __init__(self, schedule: LearningRate, held_out: dict[str, Metric]) -> None:
+        super().__init__()
+        self.schedule = schedule
+        # No compute groups: they would let metrics share what each counts by itself.
+        self.held_out = MetricCollection(held_out, prefix="val/", compute_groups=False)  # type: ignore[arg-type]
+
+    def test_step(self, batch: Any, batch_idx: int) -> None:
+        """Does what `validation_step` does."""
+        self.validation_step(batch, batch_idx)
+
+    def on_validation_epoch_end(self) -> None:
+        """Logs the metrics over the held-out scenes."""
+        self.log_dict(self.held_out.compute(), prog_bar=True)
+        self.held_out.reset()
+
+    on_test_epoch_end = on_validation_epoch_end
+
+    def adam(self, groups: list[dict[str, Any]]) -> OptimizerLRScheduler:
+        """Returns Adam on groups of `params`, each with its `lr`, under the schedule."""
+        optimizer = torch.optim.Adam(groups)
+        scheduler = torch.optim.lr_scheduler.LambdaLR(optimizer, self.schedule)
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "step"}}
