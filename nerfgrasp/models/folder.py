@@ -10,7 +10,7 @@ from typing import Any, TypeVar, get_type_hints
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
 from nerfgrasp.errors import UserError, unknown_name
@@ -54,7 +54,7 @@ def save_model(folder: Path, model: MVNeRF | GraspValue, *, dtype: torch.dtype |
     make_folder(folder)
     with replacing(folder / _CONFIG) as config_file, replacing(folder / _WEIGHTS) as weights_file:
         config_file.write_text(json.dumps(config, indent=2) + "\n")
-        _save_weights(state, weights_file)
+        weights_file.write_bytes(save(state))
 
 
 def load_model(name: str | Path) -> MVNeRF | GraspValue:
@@ -138,13 +138,6 @@ def _without_pretrained(plain: dict[str, Any]) -> dict[str, Any]:
         if isinstance(copy.get(key), dict):
             copy[key] = _without_pretrained(copy[key])
     return {**copy, "pretrained": False} if "pretrained" in copy else copy
-
-
-def _save_weights(state: dict[str, Tensor], path: Path) -> None:
-    try:
-        save_file(state, path)
-    except SafetensorError as error:  # a full disk comes as this, not as an OSError
-        raise UserError(f"cannot write {path.parent}: {error}") from error
 
 
 def _load_weights(model: nn.Module, path: Path) -> None:

@@ -1,11 +1,12 @@
+import errno
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import nn
 
@@ -137,15 +138,19 @@ def test_unknown_models(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None
 def test_a_failed_write_leaves_the_old_model(saved: Path, network: MVNeRF, monkeypatch: pytest.MonkeyPatch) -> None:
     before = {path.name: path.read_bytes() for path in saved.iterdir()}
 
-    def full(state: object, path: Path) -> None:
-        path.write_bytes(b"half")
-        raise SafetensorError("I/O error: No space left on device (os error 28)")
+    def full(path: Path, data: bytes) -> None:
+        path.write_text("half")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     nn.init.zeros_(network.fine.readout.weight)
-    monkeypatch.setattr(module, "save_file", full)
-    with pytest.raises(UserError, match=r"cannot write .*model: .*No space left on device"):
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(UserError, match=r"cannot write .*model.safetensors: No space left on device"):
         save_model(saved, network)
     assert {path.name: path.read_bytes() for path in saved.iterdir()} == before
+
+
+def test_weights_are_as_readable_as_any_other_file(saved: Path) -> None:
+    assert (saved / "model.safetensors").stat().st_mode == (saved / "config.json").stat().st_mode
 
 
 def test_a_folder_that_cannot_be_made_is_told(network: MVNeRF, tmp_path: Path) -> None:
