@@ -11,7 +11,7 @@ from typing import Any, TypeVar, get_type_hints
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
-from torch import Tensor, nn
+from torch import nn
 
 from nerfgrasp.errors import UserError, unknown_name
 from nerfgrasp.files import make_folder, read_json, replacing
