@@ -27,9 +27,14 @@ class Negatives:
     """Within ±`near_distance` of the demonstrated position, any orientation."""
     upright: int = 0
     """Anywhere in the workspace, turned about the vertical only: what tells a place from a direction."""
+    around: int = 0
+    """Within ±`around_distance` of the demonstrated position in x and y and a third of that in z, turned about the
+    vertical only: the corners and ends of the object, which fit between the fingers but slip out."""
     perturbed: int = 0
     """The demonstrated grasp, moved or turned just too far to be good."""
     near_distance: float = 0.01
+    """Metres."""
+    around_distance: float = 0.06
     """Metres."""
     least_shift: float = 0.006
     """Metres by which a grasp is moved along its closing axis at least; twice that in any other direction."""
@@ -192,6 +197,11 @@ def draw_negatives(grasp: Tensor, workspace: Workspace, negatives: Negatives, ge
         make_pose(
             _about_vertical(negatives.upright, generator) @ grasp[:3, :3],
             _positions(negatives.upright, workspace, generator),
+        ),
+        make_pose(
+            _about_vertical(negatives.around, generator) @ grasp[:3, :3],
+            grasp[:3, 3]
+            + _uniform((negatives.around, 3), negatives.around_distance, generator) * torch.tensor([1.0, 1.0, 1 / 3]),
         ),
         _perturbed(grasp, negatives, generator),
     ]

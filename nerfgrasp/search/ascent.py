@@ -1,5 +1,6 @@
 """Grasp pose optimization by gradient ascent (Algorithm 1 of "Grasping from NeRFs")."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ from torch import Tensor
 from nerfgrasp.errors import UserError
 from nerfgrasp.scenes.scene import Grasps, Workspace
 from nerfgrasp.search.candidates import random_candidates, scatter
-from nerfgrasp.search.clearance import TableClearance
+from nerfgrasp.search.limits import Limits
 from nerfgrasp.search.ranking import best_first
 from nerfgrasp.search.schedule import PAPER, Phase, PoseParameterization, Round, Schedule
 
@@ -36,7 +37,7 @@ def ascend(
     workspace: Workspace,
     schedule: Schedule = PAPER,
     *,
-    clearance: TableClearance | None = None,
+    limits: Limits | None = None,
     chunk: int = 256,
 ) -> tuple[Grasps, Trace]:
     """Lets every candidate climb the value by Adam, post-processing its parameters after each step.
@@ -50,7 +51,7 @@ def ascend(
         pose: the parameterization to climb in.
         workspace: where the positions are kept.
         schedule: phases of steps.
-        clearance: what keeps every pose off the table; None for nothing, which is the paper's way.
+        limits: what every pose keeps to; None for the workspace alone, which is the paper's way.
         chunk: how many candidates climb at once.
 
     Returns:
@@ -59,9 +60,7 @@ def ascend(
     Raises:
         UserError: no final pose has a finite value.
     """
-    parts = [
-        _climb(value, part, pose, _projection(pose, workspace, clearance), schedule) for part in start.split(chunk)
-    ]
+    parts = [_climb(value, part, pose, _projection(pose, workspace, limits), schedule) for part in start.split(chunk)]
     trace = Trace(
         torch.cat([part.T_world_grasp for part in parts], dim=1), torch.cat([part.value for part in parts], dim=1)
     )
@@ -81,7 +80,7 @@ def search(
     keep: int | None = None,
     rounds: Sequence[Round] = (),
     schedule: Schedule = PAPER,
-    clearance: TableClearance | None = None,
+    limits: Limits | None = None,
     chunk: int = 256,
 ) -> tuple[Grasps, Trace]:
     """Draws random candidates, resamples around the best of them, and lets these climb.
@@ -95,7 +94,7 @@ def search(
         keep: how many of them climb; None for all, which is the paper's way.
         rounds: how the best are resampled before; none are if all climb.
         schedule: phases of steps.
-        clearance: see `ascend`.
+        limits: see `ascend`.
         chunk: how many candidates are evaluated at once.
 
     Returns:
@@ -104,25 +103,25 @@ def search(
     Raises:
         UserError: no pose has a finite value.
     """
-    start = random_candidates(candidates, workspace, generator)
+    start = random_candidates(candidates, workspace, generator, math.pi if limits is None else limits.max_tilt)
     if keep is not None and keep < candidates:
-        start = _best(value, _clear(start, workspace, clearance), keep, chunk)
+        start = _best(value, _permitted(start, workspace, limits), keep, chunk)
         for resampling in rounds:
             copies = scatter(start, resampling.copies, resampling.distance, resampling.angle, workspace, generator)
-            start = _best(value, _clear(copies, workspace, clearance), keep, chunk)
-    return ascend(value, start, pose, workspace, schedule, clearance=clearance, chunk=chunk)
+            start = _best(value, _permitted(copies, workspace, limits), keep, chunk)
+    return ascend(value, start, pose, workspace, schedule, limits=limits, chunk=chunk)
 
 
-def _clear(poses: Tensor, workspace: Workspace, clearance: TableClearance | None) -> Tensor:
-    return poses if clearance is None else clearance.lifted(poses, workspace)
+def _permitted(poses: Tensor, workspace: Workspace, limits: Limits | None) -> Tensor:
+    return poses if limits is None else limits.enforce(poses, workspace)
 
 
-def _projection(pose: PoseParameterization, workspace: Workspace, clearance: TableClearance | None) -> Projection:
+def _projection(pose: PoseParameterization, workspace: Workspace, limits: Limits | None) -> Projection:
     """Returns the post-processing of parameters."""
 
     def project(params: dict[str, Tensor]) -> dict[str, Tensor]:
         inside = pose.project(params, workspace)
-        return inside if clearance is None else clearance.project(pose, inside, workspace)
+        return inside if limits is None else limits.project(pose, inside, workspace)
 
     return project
 

@@ -1,5 +1,7 @@
 """Where a search starts: random grasp poses in the workspace."""
 
+import math
+
 import roma
 import torch
 from torch import Tensor
@@ -8,8 +10,10 @@ from nerfgrasp.geometry import make_pose
 from nerfgrasp.scenes.scene import Workspace
 
 
-def random_candidates(count: int, workspace: Workspace, generator: torch.Generator) -> Tensor:
-    """Draws grasp poses, positions uniform in the workspace and orientations uniform on SO(3).
+def random_candidates(
+    count: int, workspace: Workspace, generator: torch.Generator, max_tilt: float = math.pi
+) -> Tensor:
+    """Draws grasp poses, positions uniform in the workspace and orientations uniform on SO(3) up to a tilt.
 
     The draws happen on the generator's device, so that one seed gives the same poses wherever the search runs.
 
@@ -17,14 +21,18 @@ def random_candidates(count: int, workspace: Workspace, generator: torch.Generat
         count: how many, N.
         workspace: the box of the positions.
         generator: the only source of randomness.
+        max_tilt: the most by which the approach differs from straight down, radians; π is all of SO(3).
 
     Returns:
         `T_world_grasp` `[N, 4, 4]` on the workspace's device, metres.
     """
     device = workspace.minimum.device
-    unit = torch.rand(count, 3, generator=generator, device=generator.device).to(device)
-    rotation = roma.random_rotmat(count, generator=generator, device=generator.device).to(device)
-    return make_pose(rotation, workspace.minimum + unit * (workspace.maximum - workspace.minimum))
+    unit = torch.rand(count, 6, generator=generator, device=generator.device).to(device)
+    # Of a uniform rotation, the angle about the vertical, the cosine of the tilt and the spin are each uniform.
+    tilt = torch.arccos(1.0 - unit[:, 3] * (1.0 - math.cos(max_tilt)))
+    angles = torch.stack([2 * math.pi * unit[:, 4], math.pi - tilt, 2 * math.pi * unit[:, 5]], dim=-1)
+    rotation = roma.euler_to_rotmat("ZYZ", angles)
+    return make_pose(rotation, workspace.minimum + unit[:, :3] * (workspace.maximum - workspace.minimum))
 
 
 def scatter(

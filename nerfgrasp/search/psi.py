@@ -10,7 +10,7 @@ from nerfgrasp.models.folder import load_model
 from nerfgrasp.models.grasp_value import GraspValue
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.search.ascent import Trace, search
-from nerfgrasp.search.clearance import TableClearance
+from nerfgrasp.search.limits import Limits
 from nerfgrasp.search.ranking import distinct
 from nerfgrasp.search.schedule import CLIMB, PAPER, ROUNDS, PoseParameterization, Schedule
 
@@ -29,7 +29,7 @@ class Psi:
         keep: int | None = 128,
         images: int = 3,
         schedule: Schedule = CLIMB,
-        clearance: TableClearance | None = TableClearance(),
+        limits: Limits | None = Limits(),
         chunk: int = 64,
     ) -> None:
         """Wraps a trained value.
@@ -41,13 +41,13 @@ class Psi:
             images: how many of a scene's images are used, from the front, if the model does not need more. A
                 model that sees one at a time averages its values over them (the paper's MV1).
             schedule: phases of steps, where not all climb.
-            clearance: what keeps the gripper off the table; None lets Ψ alone judge.
+            limits: what every grasp keeps to; None lets Ψ alone judge.
             chunk: how many poses are evaluated at once.
         """
         self.model = model.eval().requires_grad_(False)
         self.images = max(images, model.views)
         self.candidates, self.keep, self.schedule = candidates, keep, schedule
-        self.clearance, self.chunk = clearance, chunk
+        self.limits, self.chunk = limits, chunk
 
     @classmethod
     def from_pretrained(cls, folder: str) -> "Psi":
@@ -104,7 +104,7 @@ class Psi:
             rounds=() if all_climb else ROUNDS,
             generator=generator,
             schedule=PAPER if all_climb else self.schedule,
-            clearance=self.clearance,
+            limits=self.limits,
             chunk=self.chunk,
         )
 

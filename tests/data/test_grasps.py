@@ -52,7 +52,7 @@ def grasps(folder: Path, **changes: Any) -> GraspData:
 
 def test_the_paper_s_512_poses(grasp: Tensor, workspace: Workspace) -> None:
     assert len(drawn(grasp, workspace, Negatives())) == 511
-    assert len(drawn(grasp, workspace, Negatives(3, 4, 5, 6))) == 18
+    assert len(drawn(grasp, workspace, Negatives(3, 4, 5, 6, 7))) == 25
     assert drawn(grasp, workspace, NONE).shape == (0, 4, 4)
 
 
@@ -83,6 +83,14 @@ def test_upright_negatives_keep_the_tilt(grasp: Tensor, workspace: Workspace) ->
     assert turns(grasp, found).max() > 2.5
 
 
+def test_negatives_around_the_grasp_are_turned_about_the_vertical_alone(grasp: Tensor, workspace: Workspace) -> None:
+    found = drawn(grasp, workspace, replace(NONE, around=2000))
+    shift = shifts(grasp, found).abs().amax(dim=0)
+    torch.testing.assert_close(shift, torch.tensor([0.06, 0.06, 0.02]), atol=1e-3, rtol=0)
+    torch.testing.assert_close(found[:, 2, :3], grasp[2, :3].expand(2000, 3), atol=1e-6, rtol=0)
+    assert turns(grasp, found).max() > 2.8
+
+
 def test_perturbed_negatives_are_moved_or_turned_as_far_as_stated(grasp: Tensor, workspace: Workspace) -> None:
     kinds = drawn(grasp, workspace, replace(NONE, perturbed=1600)).unflatten(0, (-1, 8)).transpose(0, 1)
     across, anywhere = kinds[[0, 2]].flatten(0, 1), kinds[[6, 7]].flatten(0, 1)
@@ -110,7 +118,7 @@ def test_small_perturbations_are_as_likely_as_large_ones(grasp: Tensor, workspac
 
 
 def test_negatives_are_a_function_of_their_generator(grasp: Tensor, workspace: Workspace) -> None:
-    kinds = Negatives(3, 4, 5, 6)
+    kinds = Negatives(3, 4, 5, 6, 7)
     assert torch.equal(drawn(grasp, workspace, kinds, 1), drawn(grasp, workspace, kinds, 1))
     assert not torch.equal(drawn(grasp, workspace, kinds, 1), drawn(grasp, workspace, kinds, 2))
 

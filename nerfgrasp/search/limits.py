@@ -1,0 +1,58 @@
+"""What a grasp must keep to, whatever its value: the table is not to be met, and the hand comes from above."""
+
+import math
+from dataclasses import dataclass
+
+import roma
+import torch
+from torch import Tensor
+
+from nerfgrasp.geometry import make_pose
+from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Gripper
+from nerfgrasp.scenes.oracle import TABLE_CLEARANCE
+from nerfgrasp.scenes.scene import Workspace
+from nerfgrasp.search.schedule import PoseParameterization
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Moves poses that break a limit to the nearest that keep it. The table is the workspace's lower face."""
+
+    max_tilt: float = math.radians(60.0)
+    """The most by which the approach may differ from straight down, radians; π for none."""
+    clearance: float = TABLE_CLEARANCE
+    """Metres to keep free between the open gripper and the table."""
+    gripper: Gripper = ROBOTIQ_2F85
+    """Whose shape counts."""
+
+    def enforce(self, T_world_grasp: Tensor, workspace: Workspace) -> Tensor:
+        """Returns grasps `[..., 4, 4]`, turned no more than it takes and then lifted no more than it takes."""
+        turned = make_pose(self._turn(T_world_grasp) @ T_world_grasp[..., :3, :3], T_world_grasp[..., :3, 3])
+        upright = torch.where(self._too_tilted(T_world_grasp)[..., None, None], turned, T_world_grasp).clone()
+        lacking = workspace.minimum[2].to(upright) + self.clearance - self.gripper.lowest(upright)
+        upright[..., 2, 3] += lacking.clamp(min=0.0)
+        return upright
+
+    def project(self, pose: PoseParameterization, params: dict[str, Tensor], workspace: Workspace) -> dict[str, Tensor]:
+        """Returns the parameters of the poses that keep the limits; what need not change stays as it is."""
+        before = pose.decode(params)
+        after = self.enforce(before, workspace)
+        turned = self._too_tilted(before)[..., None]
+        moved = (after != before).flatten(-2).any(dim=-1, keepdim=True)
+        # Parameters are not unique: encoded anew, an orientation that stays may come out as another one.
+        changed = {"position": moved, "orientation": turned}
+        encoded = pose.encode(after)
+        return {group: torch.where(changed.get(group, moved), encoded[group], params[group]) for group in params}
+
+    def _too_tilted(self, T_world_grasp: Tensor) -> Tensor:
+        return -T_world_grasp[..., 2, 2] < math.cos(self.max_tilt) - 1e-6
+
+    def _turn(self, T_world_grasp: Tensor) -> Tensor:
+        """Returns the rotations `[..., 3, 3]` that bring approaches to the limit, about the horizontal."""
+        approach = T_world_grasp[..., :3, 2]
+        # approach × down; straight up, any horizontal axis will do.
+        axis = torch.stack([-approach[..., 1], approach[..., 0], torch.zeros_like(approach[..., 0])], dim=-1)
+        length = axis.norm(dim=-1, keepdim=True)
+        unit = torch.where(length > 1e-6, axis / length.clamp(min=1e-6), torch.tensor([1.0, 0.0, 0.0]).to(axis))
+        tilt = torch.atan2(length[..., 0], -approach[..., 2])
+        return roma.rotvec_to_rotmat(unit * (tilt - self.max_tilt).clamp(min=0.0)[..., None])
