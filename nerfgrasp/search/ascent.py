@@ -85,6 +85,9 @@ def search(
 ) -> tuple[Grasps, Trace]:
     """Draws random candidates, resamples around the best of them, and lets these climb.
 
+    In each round of resampling every candidate gives way to the best of its own copies, not to another's: so they
+    stay on as many objects as they were.
+
     Args:
         value: the function to climb.
         pose: the parameterization to climb in.
@@ -108,7 +111,7 @@ def search(
         start = _best(value, _permitted(start, workspace, limits), keep, chunk)
         for resampling in rounds:
             copies = scatter(start, resampling.copies, resampling.distance, resampling.angle, workspace, generator)
-            start = _best(value, _permitted(copies, workspace, limits), keep, chunk)
+            start = _best_of_each(value, _permitted(copies, workspace, limits), len(start), chunk)
     return ascend(value, start, pose, workspace, schedule, limits=limits, chunk=chunk)
 
 
@@ -127,12 +130,21 @@ def _projection(pose: PoseParameterization, workspace: Workspace, limits: Limits
 
 
 def _best(value: Value, poses: Tensor, keep: int, chunk: int) -> Tensor:
-    with torch.no_grad():
-        values = torch.cat([value(part) for part in poses.split(chunk)])
-    best = best_first(poses, values).T_world_grasp[:keep]
+    best = best_first(poses, _values(value, poses, chunk)).T_world_grasp[:keep]
     if len(best) == 0:
         raise UserError("no candidate has a finite value: the model's weights may be damaged")
     return best
+
+
+def _best_of_each(value: Value, poses: Tensor, count: int, chunk: int) -> Tensor:
+    """Returns `[count, 4, 4]` the best of every candidate and its copies, which follow each other in turns."""
+    values = _values(value, poses, chunk).nan_to_num(nan=-torch.inf).view(-1, count)
+    return poses.view(-1, count, 4, 4)[values.argmax(dim=0), torch.arange(count)]
+
+
+@torch.no_grad()
+def _values(value: Value, poses: Tensor, chunk: int) -> Tensor:
+    return torch.cat([value(part) for part in poses.split(chunk)])
 
 
 def _climb(value: Value, start: Tensor, pose: PoseParameterization, project: Projection, schedule: Schedule) -> Trace:

@@ -8,11 +8,16 @@ from nerfgrasp import registry
 from nerfgrasp.errors import UserError
 from nerfgrasp.models.folder import load_model
 from nerfgrasp.models.grasp_value import GraspValue
+from nerfgrasp.models.mvnerf import SceneFeatures
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.search.ascent import Trace, search
+from nerfgrasp.search.feasibility import Feasibility
 from nerfgrasp.search.limits import Limits
-from nerfgrasp.search.ranking import distinct
+from nerfgrasp.search.ranking import best_first, distinct
 from nerfgrasp.search.schedule import CLIMB, PAPER, ROUNDS, PoseParameterization, Schedule
+
+_CHECKED = 16
+"""Grasps whose feasibility is found at once."""
 
 
 class Psi:
@@ -30,6 +35,7 @@ class Psi:
         images: int = 3,
         schedule: Schedule = CLIMB,
         limits: Limits | None = Limits(),
+        feasibility: Feasibility | None = Feasibility(),
         chunk: int = 64,
     ) -> None:
         """Wraps a trained value.
@@ -41,13 +47,14 @@ class Psi:
             images: how many of a scene's images are used, from the front, if the model does not need more. A
                 model that sees one at a time averages its values over them (the paper's MV1).
             schedule: phases of steps, where not all climb.
-            limits: what every grasp keeps to; None lets Ψ alone judge.
+            limits: what every grasp keeps to; None for the workspace alone.
+            feasibility: what is added to the values of the grasps found; None lets Ψ alone judge.
             chunk: how many poses are evaluated at once.
         """
         self.model = model.eval().requires_grad_(False)
         self.images = max(images, model.views)
         self.candidates, self.keep, self.schedule = candidates, keep, schedule
-        self.limits, self.chunk = limits, chunk
+        self.limits, self.feasibility, self.chunk = limits, feasibility, chunk
 
     @classmethod
     def from_pretrained(cls, folder: str) -> "Psi":
@@ -85,7 +92,8 @@ class Psi:
             keep: how many of them climb; the method's own number if None.
 
         Returns:
-            The final poses of the candidates that climbed, best first, and their trace.
+            The final poses of the candidates that climbed, best first by Ψ and feasibility together, and the trace of
+            their climb, which shows Ψ alone.
 
         Raises:
             UserError: too few views, or an unknown parameterization.
@@ -95,7 +103,7 @@ class Psi:
         candidates = self.candidates if candidates is None else candidates
         keep = self.keep if keep is None else keep
         all_climb = keep is None or keep >= candidates
-        return search(
+        climbed, trace = search(
             lambda T: self.model.value(features, T),
             parameterization,
             workspace,
@@ -107,6 +115,13 @@ class Psi:
             limits=self.limits,
             chunk=self.chunk,
         )
+        return self._weighed(climbed, features, workspace), trace
+
+    def _weighed(self, grasps: Grasps, features: SceneFeatures, workspace: Workspace) -> Grasps:
+        if self.feasibility is None:
+            return grasps
+        added = [self.feasibility(self.model, features, T, workspace) for T in grasps.T_world_grasp.split(_CHECKED)]
+        return best_first(grasps.T_world_grasp, grasps.value + torch.cat(added))
 
     def propose(
         self, observations: Observations, workspace: Workspace, *, generator: torch.Generator, count: int = 1
