@@ -4,7 +4,7 @@ from torch import Tensor, nn
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import Camera, make_pose
-from nerfgrasp.scenes.scene import Observations, Workspace
+from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.search import psi
 from nerfgrasp.search.psi import Psi
 from nerfgrasp.search.schedule import CLIMB, PAPER
@@ -27,6 +27,10 @@ class FakeValue(nn.Module):
     def value(self, features: Tensor, T_world_grasp: Tensor) -> Tensor:
         assert len(T_world_grasp) <= 8
         return -self.scale * (T_world_grasp[:, :3, 3] - features).norm(dim=-1)
+
+    def density(self, features: Tensor, points: Tensor, directions: Tensor) -> Tensor:
+        """A bar at the origin, 30 mm thick."""
+        return 1000.0 * ((points[..., :2].abs() < torch.tensor([0.015, 0.04])) & (points[..., 2:] < 0.06)).all(-1)
 
 
 def observe(views: int) -> Observations:
@@ -79,6 +83,17 @@ def test_search_takes_its_own_numbers_and_shows_the_way(method: Psi, workspace: 
 def test_all_candidates_climb_as_the_paper_has_it(method: Psi, workspace: Workspace) -> None:
     _, trace = method.search(observe(3), workspace, generator=seeded(), candidates=8, keep=8)
     assert trace.value.shape == (PAPER.steps + 1, 8)
+
+
+def test_a_feasible_grasp_comes_before_one_of_more_value(method: Psi, workspace: Workspace) -> None:
+    down = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
+    beside, around = make_pose(down, torch.tensor([0.1, 0.0, 0.045])), make_pose(down, torch.tensor([0.0, 0.0, 0.045]))
+    found = Grasps(torch.stack([beside, around]), torch.tensor([1.0, 0.0]))
+    weighed = method._weighed(found, method.model.observe(observe(3)), workspace)
+    assert torch.equal(weighed.T_world_grasp[0], around)
+    assert weighed.value[0] == pytest.approx(0.0, abs=0.05)
+    alone = Psi(FakeValue(), feasibility=None)  # type: ignore[arg-type]
+    assert alone._weighed(found, alone.model.observe(observe(3)), workspace) is found
 
 
 def test_a_search_trains_nothing(method: Psi, workspace: Workspace) -> None:

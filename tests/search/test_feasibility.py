@@ -1,0 +1,92 @@
+"""Feasibility: an analytic density stands in for the field; what meets it is known."""
+
+import math
+from typing import Any, cast
+
+import pytest
+import roma
+import torch
+from torch import Tensor
+
+from nerfgrasp.geometry import make_pose
+from nerfgrasp.models.grasp_value import GraspValue
+from nerfgrasp.models.mvnerf import SceneFeatures
+from nerfgrasp.scenes.scene import Workspace
+from nerfgrasp.search.feasibility import Feasibility
+
+WORKSPACE = Workspace()
+NOTHING = cast(SceneFeatures, None)
+WORST = math.log(1e-3)
+
+
+class Boxes:
+    """A field that is dense in axis-aligned boxes (low, high) and below the table's top."""
+
+    def __init__(self, *boxes: tuple[tuple[float, float, float], tuple[float, float, float]]) -> None:
+        self.boxes = [tuple(map(torch.tensor, box)) for box in boxes]
+
+    def density(self, features: Any, points: Tensor, directions: Tensor) -> Tensor:
+        assert points.shape[:-2] == directions.shape[:-1]
+        inside = [((points > low) & (points < high)).all(dim=-1) for low, high in self.boxes]
+        return 1000.0 * (torch.stack(inside).any(dim=0) | (points[..., 2] < 0.0)).float()
+
+
+BAR = ((-0.02, -0.04, 0.0), (0.02, 0.04, 0.06))
+
+
+def weigh(field: Boxes, T: Tensor, **changes: Any) -> float:
+    return Feasibility(weight=1.0, **changes)(cast(GraspValue, field), NOTHING, T[None], WORKSPACE).item()
+
+
+def top_down(x: float = 0.0, y: float = 0.0, z: float = 0.045, yaw: float = 0.0) -> Tensor:
+    turned = roma.rotvec_to_rotmat(torch.tensor([0.0, 0.0, yaw])) @ torch.diag(torch.tensor([1.0, -1.0, -1.0]))
+    return make_pose(turned, torch.tensor([x, y, z]))
+
+
+def test_a_bar_between_the_pads_costs_nothing():
+    assert weigh(Boxes(BAR), top_down()) == pytest.approx(0.0, abs=0.01)
+
+
+def test_nothing_between_the_pads_costs_the_most_that_one_chance_can():
+    assert weigh(Boxes(BAR), top_down(y=0.1)) == pytest.approx(WORST, abs=0.01)
+
+
+def test_half_of_the_pads_on_the_bar_is_half_a_chance():
+    # Of three rows of lines, 12 mm apart, two lie above the bar's top.
+    assert weigh(Boxes(BAR), top_down(z=0.063)) == pytest.approx(math.log(1 / 3), abs=0.02)
+
+
+def test_fingers_on_the_bar():
+    assert weigh(Boxes(BAR), top_down(x=0.03)) == pytest.approx(WORST, abs=0.1)
+    long = ((-0.02, -0.05, 0.0), (0.02, 0.05, 0.06))
+    assert weigh(Boxes(long), top_down()) == pytest.approx(0.0, abs=0.01)
+    assert weigh(Boxes(long), top_down(yaw=math.pi / 2)) == pytest.approx(WORST, abs=0.1)
+
+
+def test_palm_on_the_bar():
+    tall = ((-0.02, -0.04, 0.0), (0.02, 0.04, 0.1))
+    assert weigh(Boxes(tall), top_down(z=0.075)) == pytest.approx(0.0, abs=0.01)
+    assert weigh(Boxes(tall), top_down(z=0.045)) == pytest.approx(WORST, abs=0.1)
+
+
+def test_what_stands_in_the_fingers_way_counts_and_what_lies_beyond_does_not():
+    above = ((0.04, -0.02, 0.07), (0.06, 0.02, 0.08))
+    beyond = ((0.04, -0.02, 0.001), (0.06, 0.02, 0.02))
+    assert weigh(Boxes(BAR, above), top_down()) < WORST + 0.1
+    assert weigh(Boxes(BAR, beyond), top_down()) == pytest.approx(0.0, abs=0.01)
+
+
+def test_neither_the_table_nor_what_is_outside_of_the_workspace_counts():
+    low = ((-0.02, -0.04, 0.0), (0.02, 0.04, 0.03))
+    assert weigh(Boxes(low), top_down(z=0.015)) == pytest.approx(0.0, abs=0.01)  # fingertips below the table
+    outside = ((0.26, -0.1, 0.0), (0.4, 0.1, 0.2))
+    shifted = ((0.18, -0.04, 0.0), (0.24, 0.04, 0.06))
+    assert weigh(Boxes(shifted, outside), top_down(x=0.22)) == pytest.approx(0.0, abs=0.01)
+
+
+def test_weight_scales():
+    field = Boxes(BAR)
+    one, three = (
+        Feasibility(weight=w)(cast(GraspValue, field), NOTHING, top_down(y=0.1)[None], WORKSPACE) for w in (1, 3)
+    )
+    torch.testing.assert_close(3 * one, three)
