@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from nerfgrasp.scenes.gripper import Gripper
+from nerfgrasp.scenes.objects import SceneObject
 from nerfgrasp.scenes.prisms import Prism, mass_properties
 from nerfgrasp.sim.bullet import p
 from nerfgrasp.sim.physics import Physics
@@ -29,7 +30,7 @@ class World:
     It is built anew for every attempt: a restored state is not exactly the saved one, a rebuilt one is.
     """
 
-    def __init__(self, objects: Sequence[Prism], physics: Physics) -> None:
+    def __init__(self, objects: Sequence[SceneObject], physics: Physics) -> None:
         self.physics = physics
         self.client = p.connect(p.DIRECT)
         p.setPhysicsEngineParameter(
@@ -40,7 +41,9 @@ class World:
         )
         p.setGravity(0.0, 0.0, -physics.gravity, physicsClientId=self.client)
         self.table = self._add_table()
-        self.objects = [self._add_object(prism) for prism in objects]
+        self.objects: list[int] = []
+        for thing in objects:
+            self.add(thing)
 
     def __enter__(self) -> "World":
         return self
@@ -49,6 +52,10 @@ class World:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         p.disconnect(self.client)
+
+    def add(self, thing: SceneObject) -> None:
+        """Puts one more object where its pose says."""
+        self.objects.append(self._add_object(thing))
 
     def step(self, count: int = 1) -> None:
         """Simulates `count` steps."""
@@ -66,6 +73,10 @@ class World:
             if all(self._speed(body) <= self.physics.rest_speed for body in self.objects):
                 return
 
+    def poses(self) -> NDArray[np.float64]:
+        """Returns `T_world_object` `[N, 4, 4]` of the objects."""
+        return np.array([self._pose(body) for body in self.objects]).reshape(-1, 4, 4)
+
     def centres(self) -> NDArray[np.float64]:
         """Returns the objects' centres of mass `[N, 3]` in the world."""
         poses = [p.getBasePositionAndOrientation(body, physicsClientId=self.client) for body in self.objects]
@@ -76,6 +87,11 @@ class World:
         where = {} if link is None else {"linkIndexA": link}
         contacts = p.getContactPoints(bodyA=a, bodyB=b, physicsClientId=self.client, **where)
         return float(sum(contact[9] for contact in contacts))
+
+    def _pose(self, body: int) -> Pose:
+        T_world_centre = _matrix(*p.getBasePositionAndOrientation(body, physicsClientId=self.client))
+        T_object_centre = _matrix(*p.getDynamicsInfo(body, -1, physicsClientId=self.client)[3:5])
+        return T_world_centre @ np.linalg.inv(T_object_centre)
 
     def _speed(self, body: int) -> float:
         linear, _ = p.getBaseVelocity(body, physicsClientId=self.client)
@@ -222,6 +238,14 @@ def _quaternion(rotation: NDArray[np.float64]) -> list[float]:
     """Returns the quaternion xyzw of a rotation `[3, 3]`."""
     quaternion: list[float] = roma.rotmat_to_unitquat(torch.from_numpy(rotation.copy())).tolist()
     return quaternion
+
+
+def _matrix(position: Sequence[float], orientation: Sequence[float]) -> Pose:
+    """Returns the pose of a position and a quaternion xyzw."""
+    T = np.eye(4)
+    T[:3, :3] = roma.unitquat_to_rotmat(torch.tensor(orientation, dtype=torch.float64)).numpy()
+    T[:3, 3] = position
+    return T
 
 
 def _finger(client: int, gripper: Gripper, side: float) -> int:
