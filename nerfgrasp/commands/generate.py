@@ -1,26 +1,19 @@
 """`nerfgrasp generate`: draws and renders scenes into a set."""
 
-from collections.abc import Iterator
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
-
-import torch
-from joblib import Parallel, cpu_count, delayed, parallel_config
-from tqdm import tqdm
 
 from nerfgrasp.data.folders import FolderWriter
 from nerfgrasp.data.packed import PackedWriter
 from nerfgrasp.data.settings import SetSettings
 from nerfgrasp.errors import UserError, unknown_name
+from nerfgrasp.parallel import Cluster, run_all
 from nerfgrasp.scenes.scene import Workspace
 
 TASKS = ("simple",)
 WRITERS: dict[str, type[PackedWriter] | type[FolderWriter]] = {"packed": PackedWriter, "folders": FolderWriter}
-RESTARTS = 2
-"""How often scenes are taken up again after a worker process died."""
 
 
 def generate(
@@ -33,6 +26,7 @@ def generate(
     size: int = 128,
     demonstrations: bool = True,
     workers: int | None = None,
+    cluster: Cluster | None = None,
     format: Literal["packed", "folders"] = "packed",
 ) -> None:
     """Generates a set of simulated scenes: images from known cameras, the truth and, if asked for, a grasp each.
@@ -49,6 +43,7 @@ def generate(
         size: width and height of an image in pixels.
         demonstrations: whether to demonstrate a grasp in each scene, in physics.
         workers: number of processes; one a core if not given.
+        cluster: `ray` draws and renders on a Ray cluster, whose machines all see `out`.
         format: `packed` for training, or `folders`, one scene folder each.
 
     Raises:
@@ -60,11 +55,11 @@ def generate(
     settings = SetSettings(task, seed, scenes, views, size, demonstrations, physics, format)
     writer = WRITERS[format](Path(out), settings)
     writer.prepare(Workspace())
-    missing = writer.missing()
-    if not missing:
+    if not writer.missing():
         print(f"{out} is already complete: {scenes} scenes")
         return
-    _write_missing(writer, missing, workers or cpu_count())
+    job = partial(write_slot, writer)
+    run_all(job, writer.missing, scenes, workers=workers, cluster=cluster, describe="generate", unit="scene")
     _report(writer)
 
 
@@ -80,48 +75,14 @@ def write_slot(writer: PackedWriter | FolderWriter, index: int) -> None:
     from nerfgrasp.sim.tasks import scene_cameras, simple_scene
 
     settings = writer.settings
-    with _single_thread():
-        truth = simple_scene(settings.seed, index)
-        camera = scene_cameras(settings.seed, index, settings.views, settings.size)
-        images, masks = render_scene(truth, camera)
-        if settings.demonstrations:
-            from nerfgrasp.sim.attempt import demonstrate
+    truth = simple_scene(settings.seed, index)
+    camera = scene_cameras(settings.seed, index, settings.views, settings.size)
+    images, masks = render_scene(truth, camera)
+    if settings.demonstrations:
+        from nerfgrasp.sim.attempt import demonstrate
 
-            truth = replace(truth, demonstration=demonstrate(truth))
+        truth = replace(truth, demonstration=demonstrate(truth))
     writer.write(index, images, masks, camera, truth)
-
-
-def _write_missing(writer: PackedWriter | FolderWriter, missing: list[int], workers: int) -> None:
-    total = writer.settings.scenes
-    with tqdm(total=total, initial=total - len(missing), unit="scene", desc="generate", disable=None) as progress:
-        for attempt in range(RESTARTS + 1):
-            try:
-                for _ in _in_parallel(writer, missing, workers):
-                    progress.update()
-                return
-            except BrokenProcessPool as error:
-                missing = writer.missing()
-                progress.n = total - len(missing)
-                if attempt == RESTARTS:
-                    message = f"worker processes died {attempt + 1} times (out of memory?)"
-                    raise UserError(f"{message}: try fewer workers; the same command continues") from error
-
-
-def _in_parallel(writer: PackedWriter | FolderWriter, missing: list[int], workers: int) -> Iterator[None]:
-    with parallel_config("loky", n_jobs=min(workers, len(missing)), inner_max_num_threads=1):
-        # One scene takes far longer than handing it out: no batches, so that a killed run loses little.
-        parallel = Parallel(return_as="generator_unordered", batch_size=1)
-        yield from parallel(delayed(write_slot)(writer, index) for index in missing)
-
-
-@contextmanager
-def _single_thread() -> Iterator[None]:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def _report(writer: PackedWriter | FolderWriter) -> None:
