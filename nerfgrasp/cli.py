@@ -17,6 +17,7 @@ COMMANDS = {
     "fit": "train a backbone or a grasp value from a config",
     "validate": "run a config's validation on a checkpoint",
     "test": "run a config's test on a checkpoint",
+    "report": "print success rates, differences and errors of results",
     "plugins": "list and check what is installed",
 }
 """Every subcommand with its line of help."""
@@ -68,12 +69,15 @@ def _run(args: list[str]) -> int:
 
 
 def _command(name: str) -> Callable[[list[str]], object]:
-    """Imports a subcommand and returns what runs it on its arguments."""
+    """Imports a subcommand and returns what runs it on its arguments.
+
+    Its `main`, if the module has one; else the function of the command's name, whose signature says what to parse.
+    """
     if name in LIGHTNING:
         fit = import_module("nerfgrasp.commands.fit")
         return lambda args: fit.main(name, args)
     module = import_module(f"nerfgrasp.commands.{name}")
-    if name == "plugins":
+    if hasattr(module, "main"):
         return module.main
     parsing = import_module("nerfgrasp.commands.parsing")
     return lambda args: parsing.call(getattr(module, name), args, prog=f"nerfgrasp {name}")
