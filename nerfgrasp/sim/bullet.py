@@ -26,4 +26,7 @@ def silence() -> Iterator[None]:
 with silence():
     import pybullet as p
 
-__all__ = ["p", "silence"]
+__all__ = ["HULL_MARGIN", "p", "silence"]
+
+HULL_MARGIN = 0.001
+"""Metres by which Bullet inflates convex hulls; hulls are made smaller by as much."""

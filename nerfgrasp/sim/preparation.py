@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from nerfgrasp.errors import UserError
+from nerfgrasp.sim.bullet import HULL_MARGIN
 from nerfgrasp.sim.decomposition import convex_pieces, decompose, inset, solid_properties, write_hulls
 from nerfgrasp.sim.sources import Colour, Source
 
-HULL_MARGIN = 0.001
-"""Metres by which Bullet inflates convex hulls; hulls are made smaller by as much."""
 DENSITY = 400.0
 """kg/m³, where the model says nothing plausible of its mass."""
 PLAUSIBLE_DENSITY = (30.0, 8000.0)
