@@ -10,13 +10,12 @@ import torch
 from numpy.typing import NDArray
 
 from nerfgrasp.scenes.gripper import Gripper
+from nerfgrasp.scenes.meshes import MeshObject
 from nerfgrasp.scenes.objects import SceneObject
-from nerfgrasp.scenes.prisms import Prism, mass_properties
-from nerfgrasp.sim.bullet import p
+from nerfgrasp.scenes.prisms import MassProperties, Prism, mass_properties
+from nerfgrasp.sim.bullet import HULL_MARGIN, p
 from nerfgrasp.sim.physics import Physics
 
-HULL_MARGIN = 0.001
-"""Metres by which Bullet inflates convex hulls; hulls are made smaller by as much."""
 FINGERS = (0, 1)
 """The gripper's links."""
 
@@ -56,6 +55,10 @@ class World:
     def add(self, thing: SceneObject) -> None:
         """Puts one more object where its pose says."""
         self.objects.append(self._add_object(thing))
+
+    def remove(self, number: int) -> None:
+        """Takes an object off the world; those after it move up by one number."""
+        p.removeBody(self.objects.pop(number), physicsClientId=self.client)
 
     def step(self, count: int = 1) -> None:
         """Simulates `count` steps."""
@@ -103,15 +106,15 @@ class World:
         p.changeDynamics(body, -1, lateralFriction=self.physics.table_friction, physicsClientId=self.client)
         return body
 
-    def _add_object(self, prism: Prism) -> int:
+    def _add_object(self, thing: SceneObject) -> int:
         """Adds a body whose mass, centre of mass and inertia are those of the solid, not of its hull."""
-        solid = mass_properties(prism)
+        solid = _solid(thing)
         moments, axes = np.linalg.eigh(solid.inertia)
         axes = axes * np.sign(np.linalg.det(axes))
-        pose = prism.T_world_object.double().numpy()
+        pose = thing.T_world_object.double().numpy()
         body: int = p.createMultiBody(
             baseMass=solid.mass,
-            baseCollisionShapeIndex=self._object_shape(prism),
+            baseCollisionShapeIndex=self._object_shape(thing),
             basePosition=pose[:3, 3].tolist(),
             baseOrientation=_quaternion(pose[:3, :3]),
             baseInertialFramePosition=solid.centre.tolist(),
@@ -130,17 +133,19 @@ class World:
         )
         return body
 
-    def _object_shape(self, prism: Prism) -> int:
-        if prism.kind in ("cylinder", "triangle"):
+    def _object_shape(self, thing: SceneObject) -> int:
+        if isinstance(thing, MeshObject):
+            return _mesh_shape(self.client, thing)
+        if thing.kind in ("cylinder", "triangle"):
             shape: int = p.createCollisionShape(
-                p.GEOM_MESH, vertices=_inset_hull(prism).tolist(), physicsClientId=self.client
+                p.GEOM_MESH, vertices=_inset_hull(thing).tolist(), physicsClientId=self.client
             )
             return shape
-        corners = [np.asarray(part) for part in prism.parts]
+        corners = [np.asarray(part) for part in thing.parts]
         return _box_compound(
             self.client,
-            [(*(c.min(axis=0) + c.max(axis=0)) / 2, prism.height / 2) for c in corners],
-            [(*(c.max(axis=0) - c.min(axis=0)) / 2, prism.height / 2) for c in corners],
+            [(*(c.min(axis=0) + c.max(axis=0)) / 2, thing.height / 2) for c in corners],
+            [(*(c.max(axis=0) - c.min(axis=0)) / 2, thing.height / 2) for c in corners],
         )
 
 
@@ -158,11 +163,11 @@ class Hand:
             childFrameOrientation=orientation, physicsClientId=self.client,
         )  # fmt: skip
         p.changeConstraint(self._hold, maxForce=physics.hand_force, physicsClientId=self.client)
-        gear = p.createConstraint(
+        self._gear = p.createConstraint(
             self.body, 0, self.body, 1, p.JOINT_GEAR, [1, 0, 0], [0, 0, 0], [0, 0, 0], physicsClientId=self.client
         )
         p.changeConstraint(
-            gear, gearRatio=-1, erp=physics.gear_erp, maxForce=physics.gear_force, physicsClientId=self.client
+            self._gear, gearRatio=-1, erp=physics.gear_erp, maxForce=physics.gear_force, physicsClientId=self.client
         )
         for link in FINGERS:
             self._drive(link, p.POSITION_CONTROL, targetPosition=0.0, force=physics.hand_force)
@@ -183,6 +188,12 @@ class Hand:
         physics = self.world.physics
         for link in FINGERS:
             self._drive(link, p.VELOCITY_CONTROL, targetVelocity=physics.finger_speed, force=physics.closing_force)
+
+    def remove(self) -> None:
+        """Takes the hand out of the world, as if it had been opened and withdrawn without touching a thing."""
+        for constraint in (self._hold, self._gear):
+            p.removeConstraint(constraint, physicsClientId=self.client)
+        p.removeBody(self.body, physicsClientId=self.client)
 
     def held(self) -> list[int]:
         """Returns the numbers of the objects that both fingers touch."""
@@ -232,6 +243,20 @@ class Hand:
                 physicsClientId=client,
             )
         return body
+
+
+def _solid(thing: SceneObject) -> MassProperties:
+    if isinstance(thing, MeshObject):
+        return MassProperties(thing.mass, np.array(thing.centre), np.array(thing.inertia))
+    return mass_properties(thing)
+
+
+def _mesh_shape(client: int, thing: MeshObject) -> int:
+    from nerfgrasp.sim.library import model_of  # reads meshes: only where there are any
+
+    # Every `o` of the file becomes a convex hull of its own.
+    shape: int = p.createCollisionShape(p.GEOM_MESH, fileName=str(model_of(thing).collision), physicsClientId=client)
+    return shape
 
 
 def _quaternion(rotation: NDArray[np.float64]) -> list[float]:
