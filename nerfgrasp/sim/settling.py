@@ -35,7 +35,7 @@ PUSH_TIME = 1.5
 def drop(objects: tuple[Thing, ...], physics: Physics = PHYSICS) -> tuple[Thing, ...]:
     """Lets objects go, all at once, from the poses given and returns them at rest (or after 10 s)."""
     with World(objects, physics) as world:
-        _rest(world)
+        rest(world)
         return moved(objects, world)
 
 
@@ -48,28 +48,22 @@ def pile(objects: tuple[Thing, ...], physics: Physics = PHYSICS) -> tuple[Thing,
         for number, thing in enumerate(objects):
             world.add(thing)
             _lift_above(world, number)
-            _rest(world)
+            rest(world)
         return moved(objects, world)
 
 
 def huddle(objects: tuple[Thing, ...], physics: Physics = PHYSICS) -> tuple[Thing, ...]:
     """Lets objects rest, pushes them all towards the workspace's centre, and returns them at rest again."""
     with World(objects, physics) as world:
-        _rest(world)
+        rest(world)
         for _ in range(world.steps(PUSH_TIME)):
             _push(world)
             world.step()
-        _rest(world)
+        rest(world)
         return moved(objects, world)
 
 
-def moved(objects: Sequence[Thing], world: World) -> tuple[Thing, ...]:
-    """Returns the objects where `world` has them."""
-    poses = torch.from_numpy(world.poses()).float()
-    return tuple(replace(thing, T_world_object=pose) for thing, pose in zip(objects, poses, strict=True))
-
-
-def _rest(world: World) -> None:
+def rest(world: World) -> None:
     """Waits until all objects rest at two tests in a row: one at the top of its path is slow as well."""
     calm = 0
     for _ in range(REST_TESTS):
@@ -77,6 +71,12 @@ def _rest(world: World) -> None:
         calm = calm + 1 if _calm(world) else 0
         if calm == 2:
             return
+
+
+def moved(objects: Sequence[Thing], world: World) -> tuple[Thing, ...]:
+    """Returns the objects where `world` has them."""
+    poses = torch.from_numpy(world.poses()).float()
+    return tuple(replace(thing, T_world_object=pose) for thing, pose in zip(objects, poses, strict=True))
 
 
 def _calm(world: World) -> bool:

@@ -155,7 +155,8 @@ class Hand:
     def __init__(self, world: World, gripper: Gripper, T_world_grasp: Pose) -> None:
         self.world, self.client = world, world.client
         self._grasp_in_body = gripper.body[2] / 2 - gripper.palm
-        position, orientation = self._body_pose(T_world_grasp)
+        self._approach, self._orientation = T_world_grasp[:3, 2], _quaternion(T_world_grasp[:3, :3])
+        position, orientation = self._body_position(T_world_grasp[:3, 3]), self._orientation
         self.body = self._add_body(gripper, position, orientation)
         physics = world.physics
         self._hold = p.createConstraint(
@@ -172,13 +173,12 @@ class Hand:
         for link in FINGERS:
             self._drive(link, p.POSITION_CONTROL, targetPosition=0.0, force=physics.hand_force)
 
-    def move_to(self, T_world_grasp: Pose) -> None:
-        """Sets where the hand is pulled."""
-        position, orientation = self._body_pose(T_world_grasp)
+    def move_to(self, position: NDArray[np.float64]) -> None:
+        """Sets where the tool centre point `[3]` is pulled; the hand keeps its orientation."""
         p.changeConstraint(
             self._hold,
-            jointChildPivot=position,
-            jointChildFrameOrientation=orientation,
+            jointChildPivot=self._body_position(position),
+            jointChildFrameOrientation=self._orientation,
             maxForce=self.world.physics.hand_force,
             physicsClientId=self.client,
         )
@@ -195,6 +195,13 @@ class Hand:
             p.removeConstraint(constraint, physicsClientId=self.client)
         p.removeBody(self.body, physicsClientId=self.client)
 
+    def state(self) -> tuple[Pose, tuple[float, float]]:
+        """Returns `T_world_grasp` `[4, 4]` where the hand is, and metres by which either finger has closed."""
+        T = _matrix(*p.getBasePositionAndOrientation(self.body, physicsClientId=self.client))
+        T[:3, 3] += self._grasp_in_body * T[:3, 2]
+        left, right = (p.getJointState(self.body, link, physicsClientId=self.client)[0] for link in FINGERS)
+        return T, (left, right)
+
     def held(self) -> list[int]:
         """Returns the numbers of the objects that both fingers touch."""
         touch = self.world.touch
@@ -204,9 +211,9 @@ class Hand:
     def _drive(self, link: int, mode: int, **target: float) -> None:
         p.setJointMotorControl2(self.body, link, mode, physicsClientId=self.client, **target)
 
-    def _body_pose(self, T_world_grasp: Pose) -> tuple[list[float], list[float]]:
-        position = T_world_grasp[:3, 3] - self._grasp_in_body * T_world_grasp[:3, 2]
-        return position.tolist(), _quaternion(T_world_grasp[:3, :3])
+    def _body_position(self, position: NDArray[np.float64]) -> list[float]:
+        body: list[float] = (position - self._grasp_in_body * self._approach).tolist()
+        return body
 
     def _add_body(self, gripper: Gripper, position: list[float], orientation: list[float]) -> int:
         fingers, client = gripper.fingers, self.client
