@@ -74,9 +74,10 @@ def write_hulls(path: Path, hulls: Sequence[trimesh.Trimesh]) -> None:
 
 def read_objects(path: Path) -> list[trimesh.Trimesh]:
     """Reads a mesh file, its objects each for itself where the format knows of objects."""
-    scene = trimesh.load_scene(path, split_objects=True, group_material=False)
-    # A scene's graph places them: glTF nests.
-    meshes = scene.dump()
+    # Some published scans have normals that are not numbers.
+    with np.errstate(invalid="ignore"):
+        # `dump` puts each where the scene's graph has it.
+        meshes = trimesh.load_scene(path, split_objects=True, group_material=False).dump()
     return [mesh for mesh in meshes if isinstance(mesh, trimesh.Trimesh)]
 
 

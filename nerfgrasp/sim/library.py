@@ -7,12 +7,15 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from nerfgrasp.errors import UserError, unknown_name
 from nerfgrasp.files import make_folder, read_json, replacing, write_json
 from nerfgrasp.scenes.meshes import MeshObject
+from nerfgrasp.sim.decomposition import read_objects
 from nerfgrasp.sim.preparation import write_model
 from nerfgrasp.sim.sources import Source, find_sources
 
@@ -44,6 +47,10 @@ class ObjectModel:
     """Centre of mass, metres."""
     inertia: tuple[tuple[float, float, float], ...]
     """`[3][3]` about the centre of mass, kg m²."""
+
+    def corners(self) -> NDArray[np.float64]:
+        """Returns the hulls' corners `[K, 3]`, metres."""
+        return np.concatenate([hull.vertices for hull in read_objects(self.hulls)])
 
     def place(self, T_world_object: Tensor | None = None) -> MeshObject:
         """Returns the object of a scene that is this model, at `T_world_object` `[4, 4]`."""

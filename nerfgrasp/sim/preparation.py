@@ -71,7 +71,7 @@ def write_visual(folder: Path, meshes: list[trimesh.Trimesh], colour: Colour | N
         meshes: in the object's frame, with texture, colours or neither.
         colour: of meshes without texture.
     """
-    mesh = trimesh.util.concatenate([_textured(mesh, colour) for mesh in meshes])
+    mesh: Any = trimesh.util.concatenate([_textured(mesh, colour) for mesh in meshes])
     image = mesh.visual.material.image.convert("RGB")
     image.thumbnail((MAX_TEXTURE, MAX_TEXTURE), Image.Resampling.LANCZOS)
     image.save(folder / "texture.png")
@@ -99,22 +99,17 @@ def corner_normals(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
 
 def _textured(mesh: trimesh.Trimesh, colour: Colour | None) -> trimesh.Trimesh:
     """Returns the mesh with a texture: its own, or its colours as one."""
-    visual = mesh.visual
+    visual: Any = mesh.visual
     if isinstance(visual, trimesh.visual.ColorVisuals):
-        if visual.defined and colour is None:
-            visual = visual.to_texture()
-        else:
-            visual = _plain(mesh, colour or GREY)
+        of_its_own = visual.defined and colour is None
+        mesh.visual = visual.to_texture() if of_its_own else _plain(mesh, colour or GREY)
+        return mesh
+    material = visual.material.to_simple() if hasattr(visual.material, "to_simple") else visual.material
+    if material.image is None or visual.uv is None:
+        red, green, blue, _ = (int(part) / 255 for part in material.main_color)
+        mesh.visual = _plain(mesh, colour or (red, green, blue))
     else:
-        material = visual.material
-        if hasattr(material, "to_simple"):
-            material = material.to_simple()
-        if material.image is None or visual.uv is None:
-            red, green, blue, _ = (int(part) / 255 for part in material.main_color)
-            visual = _plain(mesh, colour or (red, green, blue))
-        else:
-            visual = trimesh.visual.TextureVisuals(visual.uv, material=material)
-    mesh.visual = visual
+        mesh.visual = trimesh.visual.TextureVisuals(visual.uv, material=material)
     return mesh
 
 
@@ -125,4 +120,5 @@ def _plain(mesh: trimesh.Trimesh, colour: Colour) -> trimesh.visual.TextureVisua
 
 def _decompose(source: Source, meshes: list[trimesh.Trimesh]) -> list[trimesh.Trimesh]:
     print(f"nerfgrasp: {source.name}: decomposing into convex hulls, once", file=sys.stderr)
-    return decompose(trimesh.util.concatenate([trimesh.Trimesh(mesh.vertices, mesh.faces) for mesh in meshes]))
+    whole: Any = trimesh.util.concatenate([trimesh.Trimesh(mesh.vertices, mesh.faces) for mesh in meshes])
+    return decompose(whole)
