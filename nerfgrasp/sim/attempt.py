@@ -1,5 +1,6 @@
 """One grasp attempt, from the pre-grasp to the verdict, and demonstrations that are known to lift."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -18,7 +19,12 @@ from nerfgrasp.sim.tasks import scene_generator, workspace
 from nerfgrasp.sim.world import Hand, Pose, World
 
 DEMONSTRATION_TRIES = 5
+_UP = np.array([0.0, 0.0, 1.0])
 _DEMONSTRATION_STREAM = 20
+
+Observer = Callable[[str, World, Hand], None]
+"""Told of each stage once it is reached: `pregrasp`, `grasp` or else `collision`, `closed`, `lifted`, `held`. It may
+look at the world and the hand, and must not change them."""
 
 
 class Outcome(StrEnum):
@@ -72,6 +78,7 @@ def attempt_grasp(
     *,
     physics: Physics = PHYSICS,
     gripper: Gripper = ROBOTIQ_2F85,
+    observe: Observer | None = None,
 ) -> Attempt:
     """Carries a grasp out in a world built for it alone and reports how it ended.
 
@@ -86,6 +93,7 @@ def attempt_grasp(
         T_world_grasp: `[4, 4]`.
         physics: constants of the simulation.
         gripper: that carries it out.
+        observe: watches the stages; a grasp that is refused has none.
     """
     grasp = np.asarray(T_world_grasp, dtype=np.float64)
     if cuts_table(grasp, gripper):
@@ -95,7 +103,7 @@ def attempt_grasp(
         pregrasp = grasp.copy()
         pregrasp[:3, 3] -= physics.approach_distance * grasp[:3, 2]
         hand = Hand(world, gripper, pregrasp)
-        verdict = _carry_out(world, hand, grasp)
+        verdict = _carry_out(world, hand, grasp, observe or _unobserved)
         hand.remove()
         return _aftermath(truth, world, verdict)
 
@@ -122,18 +130,28 @@ def cuts_table(T_world_grasp: NDArray[np.floating] | Tensor, gripper: Gripper = 
     return bool(gripper.lowest(torch.as_tensor(T_world_grasp)) < 0)
 
 
-def _carry_out(world: World, hand: Hand, grasp: Pose) -> _Verdict:
+def _unobserved(stage: str, world: World, hand: Hand) -> None:
+    """Watches nothing."""
+
+
+def _carry_out(world: World, hand: Hand, grasp: Pose, observe: Observer) -> _Verdict:
     """Moves the hand to the grasp, closes, lifts and holds; the first that fails ends it."""
     physics, rest = world.physics, world.centres()
+    observe("pregrasp", world, hand)
     collision = _approach(world, hand, grasp)
+    observe("grasp" if collision is None else "collision", world, hand)
     if collision is not None:
         return _Verdict(collision)
     hand.close()
     world.step(world.steps(physics.close_time))
+    observe("closed", world, hand)
     held = hand.held()
     if not held:
         return _Verdict(Outcome.NOTHING_BETWEEN_FINGERS)
     _lift(world, hand, grasp)
+    observe("lifted", world, hand)
+    _hold(world, hand, grasp)
+    observe("held", world, hand)
     lifted = float(world.centres()[held[0], 2] - rest[held[0], 2])
     success = held[0] in hand.held() and lifted >= physics.success_height
     return _Verdict(Outcome.SUCCESS if success else Outcome.SLIPPED, held[0], lifted)
@@ -156,15 +174,20 @@ def _approach(world: World, hand: Hand, grasp: Pose) -> Outcome | None:
 
 
 def _lift(world: World, hand: Hand, grasp: Pose) -> None:
-    """Lifts the hand, holds still and, where the physics asks for it, shakes."""
-    physics, up = world.physics, np.array([0.0, 0.0, 1.0])
+    """Moves the hand straight up."""
+    physics = world.physics
     count = world.steps(physics.lift_height / physics.lift_speed)
     for height in np.linspace(0.0, physics.lift_height, count + 1)[1:]:
-        hand.move_to(grasp[:3, 3] + height * up)
+        hand.move_to(grasp[:3, 3] + height * _UP)
         world.step()
+
+
+def _hold(world: World, hand: Hand, grasp: Pose) -> None:
+    """Holds still and, where the physics asks for it, shakes."""
+    physics = world.physics
     world.step(world.steps(physics.hold_time))
     if physics.shake_distance:
-        _shake(world, hand, grasp[:3, 3] + physics.lift_height * up)
+        _shake(world, hand, grasp[:3, 3] + physics.lift_height * _UP)
 
 
 def _shake(world: World, hand: Hand, centre: NDArray[np.float64]) -> None:
