@@ -1,5 +1,6 @@
 """`nerfgrasp generate`: draws and renders scenes into a set."""
 
+import os
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +13,14 @@ from nerfgrasp.errors import UserError, unknown_name
 from nerfgrasp.parallel import Cluster, run_all
 from nerfgrasp.scenes.scene import Workspace
 
-TASKS = ("simple",)
+RANGES = {
+    "scenes": (1, 999_999),
+    "views": (1, 1000),
+    "seed": (0, 2**32 - 1),
+    "size": (16, 2048),
+    "workers": (1, 1024),
+}
+"""The least and the most that the commands take."""
 WRITERS: dict[str, type[PackedWriter] | type[FolderWriter]] = {"packed": PackedWriter, "folders": FolderWriter}
 
 
@@ -27,6 +35,7 @@ def generate(
     demonstrations: bool = True,
     workers: int | None = None,
     cluster: Cluster | None = None,
+    objects: Path | None = None,
     format: Literal["packed", "folders"] = "packed",
 ) -> None:
     """Generates a set of simulated scenes: images from known cameras, the truth and, if asked for, a grasp each.
@@ -35,7 +44,7 @@ def generate(
     stopped or killed continues where the same command is given again.
 
     Args:
-        task: what the scenes are: `simple`.
+        task: what the scenes are: `simple`, `clutter` or `novel`.
         scenes: how many scenes.
         views: images of each scene.
         seed: a set's scenes are the first of an endless sequence that the seed names.
@@ -44,38 +53,69 @@ def generate(
         demonstrations: whether to demonstrate a grasp in each scene, in physics.
         workers: number of processes; one a core if not given.
         cluster: `ray` draws and renders on a Ray cluster, whose machines all see `out`.
+        objects: for `novel`: a folder of URDFs or meshes; the one that NERFGRASP_OBJECTS names if not given, or else
+            the objects that come with pybullet.
         format: `packed` for training, or `folders`, one scene folder each.
 
     Raises:
         UserError: a value is out of range, or `out` holds another set or cannot be written.
     """
-    _check(task, scenes, views, seed, size, workers, format)
-    # Without demonstrations nothing in a set depends on physics.
-    physics = _physics() if demonstrations else ""
-    settings = SetSettings(task, seed, scenes, views, size, demonstrations, physics, format)
+    check_ranges(scenes=scenes, views=views, seed=seed, size=size, workers=workers)
+    if format not in WRITERS:
+        raise unknown_name("format", format, WRITERS)
+    folder = named_objects(task, objects)
+    physics, library = _hashes(task, folder, demonstrations)
+    settings = SetSettings(task, seed, scenes, views, size, demonstrations, physics, format, library)
     writer = WRITERS[format](Path(out), settings)
     writer.prepare(Workspace())
     if not writer.missing():
         print(f"{out} is already complete: {scenes} scenes")
         return
-    job = partial(write_slot, writer)
+    job = partial(write_slot, writer, folder)
     run_all(job, writer.missing, scenes, workers=workers, cluster=cluster, describe="generate", unit="scene")
     _report(writer)
 
 
-def _physics() -> str:
-    from nerfgrasp.sim.physics import PHYSICS, physics_hash
+def check_ranges(**values: int | None) -> None:
+    """Checks arguments by their names against `RANGES`; None is always right.
 
-    return physics_hash(PHYSICS)
+    Raises:
+        UserError: one is out of its range.
+    """
+    for name, value in values.items():
+        least, most = RANGES[name]
+        if value is not None and not least <= value <= most:
+            raise UserError(f"{name} is {value}: it must be from {least} to {most}")
 
 
-def write_slot(writer: PackedWriter | FolderWriter, index: int) -> None:
+def named_objects(task: str, objects: Path | None) -> Path | None:
+    """Returns the folder of a task's objects, where it takes one and one is named.
+
+    The variable NERFGRASP_OBJECTS is looked up here: a cluster's machines have variables of their own.
+
+    Args:
+        task: the task's name; an unknown one is a UserError.
+        objects: as the user gave it.
+
+    Raises:
+        UserError: there is no such task, or it takes no objects.
+    """
+    from nerfgrasp.sim.library import VARIABLE
+    from nerfgrasp.sim.tasks import find_task
+
+    variable = os.environ.get(VARIABLE) if task == "novel" else None
+    folder = Path(variable) if objects is None and variable else objects
+    find_task(task, folder)
+    return None if folder is None else Path(folder).resolve()
+
+
+def write_slot(writer: PackedWriter | FolderWriter, objects: Path | None, index: int) -> None:
     """Draws, renders and writes scene `index` of a set; a pure function of the set's settings and `index`."""
     from nerfgrasp.sim.rendering import render_scene
-    from nerfgrasp.sim.tasks import scene_cameras, simple_scene
+    from nerfgrasp.sim.tasks import find_task, scene_cameras
 
     settings = writer.settings
-    truth = simple_scene(settings.seed, index)
+    truth = find_task(settings.task, objects).draw(settings.seed, index)
     camera = scene_cameras(settings.seed, index, settings.views, settings.size)
     images, masks = render_scene(truth, camera)
     if settings.demonstrations:
@@ -85,6 +125,16 @@ def write_slot(writer: PackedWriter | FolderWriter, index: int) -> None:
     writer.write(index, images, masks, camera, truth)
 
 
+def _hashes(task: str, objects: Path | None, demonstrations: bool) -> tuple[str, str]:
+    """Returns the hashes of the physics and of the objects that a set depends on; empty where on none."""
+    from nerfgrasp.sim.library import open_library
+    from nerfgrasp.sim.physics import physics_hash
+
+    # Simple scenes are drawn, not settled: without demonstrations nothing in them depends on physics.
+    physics = physics_hash() if demonstrations or task != "simple" else ""
+    return physics, open_library(objects).sha256 if task == "novel" else ""
+
+
 def _report(writer: PackedWriter | FolderWriter) -> None:
     settings = writer.settings
     line = f"{writer.folder}: {settings.scenes} scenes of {settings.views} views"
@@ -92,15 +142,3 @@ def _report(writer: PackedWriter | FolderWriter) -> None:
         without = sum(writer.truth(index).demonstration is None for index in range(settings.scenes))
         line += f", {without} without a demonstrated grasp"
     print(line)
-
-
-def _check(task: str, scenes: int, views: int, seed: int, size: int, workers: int | None, format: str) -> None:
-    if task not in TASKS:
-        raise unknown_name("task", task, TASKS)
-    if format not in WRITERS:
-        raise unknown_name("format", format, WRITERS)
-    ranges = {"scenes": (scenes, 1, 999_999), "views": (views, 1, 1000), "size": (size, 16, 2048)}
-    ranges |= {"seed": (seed, 0, 2**32 - 1), "workers": (1 if workers is None else workers, 1, 1024)}
-    for name, (value, least, most) in ranges.items():
-        if not least <= value <= most:
-            raise UserError(f"{name} is {value}: it must be from {least} to {most}")

@@ -107,7 +107,7 @@ def read_results(path: Path) -> list[Row]:
 
 def read_times(path: Path) -> list[Times]:
     """Reads wall times; errors as for `read_results`, but the file may be empty."""
-    return _read_lines(path, lambda data: _from_json(Times, data))
+    return _read_lines(path, times_from_json)
 
 
 def row_from_json(data: Any) -> Row:
@@ -117,6 +117,11 @@ def row_from_json(data: Any) -> Row:
     if data.get("format") != FORMAT_VERSION:
         raise ValueError(f"format {data.get('format')!r}, this program reads {FORMAT_VERSION}")
     return _from_json(Row, {key: value for key, value in data.items() if key != "format"})
+
+
+def times_from_json(data: Any) -> Times:
+    """Reads one line of wall times; one that is damaged is a ValueError that says how."""
+    return _from_json(Times, data)
 
 
 def _write_lines(path: Path, lines: Iterable[dict[str, Any]]) -> None:
