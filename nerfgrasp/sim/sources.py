@@ -88,10 +88,12 @@ def find_sources(folder: Path) -> list[Source]:
     """
     if not folder.is_dir():
         raise UserError(f"{folder}: no such folder of objects")
-    files = sorted(folder.rglob("*.urdf"))
+    # What is hidden is being written, or is nobody's object.
+    shown = [file for file in folder.rglob("*") if not any(part[0] == "." for part in file.relative_to(folder).parts)]
+    files = sorted(file for file in shown if file.suffix.lower() == ".urdf")
     read = _read_urdf
     if not files:
-        files, read = sorted(file for file in folder.rglob("*") if file.suffix.lower() in MESHES), _read_mesh
+        files, read = sorted(file for file in shown if file.suffix.lower() in MESHES), _read_mesh
     if not files:
         raise UserError(f"{folder}: neither a URDF nor a mesh ({', '.join(MESHES)}) in this folder")
     return [read(file, name) for name, file in zip(_names(folder, files), files, strict=True)]
