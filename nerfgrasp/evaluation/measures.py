@@ -41,10 +41,8 @@ def cleared(attempts: Attempts) -> tuple[int, int]:
 
 
 def dropped(attempts: Attempts) -> tuple[int, int]:
-    """Returns how many objects ended outside of the workspace, not in the hand, of how many."""
-    # What the hand holds may hang over the border of the workspace: that is no loss.
-    lost = sum(len(set(row.dropped) - ({row.object} if row.outcome == SUCCESS else set())) for row in attempts)
-    return lost, len(attempts[0].objects)
+    """Returns how many objects ended outside of the workspace, of how many."""
+    return sum(len(row.dropped) for row in attempts), len(attempts[0].objects)
 
 
 SUCCESS_RATE = Measure("success", successes)

@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 from nerfgrasp.errors import unknown_name
 from nerfgrasp.evaluation.measures import SUCCESS_RATE, TASKS, Measure, clusters, successes
 from nerfgrasp.evaluation.runs import SUCCESS, Run, common_scenes
-from nerfgrasp.evaluation.statistics import bootstrap_difference, bootstrap_rate, mcnemar, wilson_interval
+from nerfgrasp.evaluation.statistics import (
+    bootstrap_difference,
+    bootstrap_rate,
+    mcnemar,
+    newcombe_interval,
+    wilson_interval,
+)
 from nerfgrasp.evaluation.tables import Table
 from nerfgrasp.sim.physics import physics_hash
 
@@ -124,7 +130,7 @@ def times_table(runs: Sequence[Run]) -> Table:
 def _notes(runs: Sequence[Run], tasks: Sequence[str]) -> tuple[str, ...]:
     notes = [_note([run for run in runs if run.task == task]) for task in tasks]
     if any(TASKS[task].cluster != "attempt" for task in tasks):
-        notes.append("A rate of 0 or 1 gives a bootstrap nothing to resample: Wilson's interval over as many clusters.")
+        notes.append("A rate of 0 or 1 gives a bootstrap nothing to resample: Wilson's interval, of as many clusters.")
     names = {measure.name for task in tasks for measure in TASKS[task].measures}
     meanings = [meaning for name, meaning in _MEANINGS.items() if name in names]
     notes += [f"success: of all attempts; {'; '.join(meanings)}."] if meanings else []
@@ -175,9 +181,14 @@ def _difference(one: Run, other: Run, scenes: Sequence[int], measure: Measure) -
     if not scenes:
         return ""
     first, second = _columns(one, measure, scenes), _columns(other, measure, scenes)
-    rng = np.random.default_rng(SEED)
-    interval = bootstrap_difference(first, second, rng) if len(first[0]) > 1 else None
-    return _with_interval(first[0].sum() / first[1].sum() - second[0].sum() / second[1].sum(), interval, "+.2f")
+    rates, count = [won.sum() / trials.sum() for won, trials in (first, second)], len(first[0])
+    interval = None
+    if all(rate in (0, 1) for rate in rates):
+        # As in `_rate`.
+        interval = newcombe_interval((int(rates[0]) * count, count), (int(rates[1]) * count, count))
+    elif count > 1:
+        interval = bootstrap_difference(first, second, np.random.default_rng(SEED))
+    return _with_interval(rates[0] - rates[1], interval, "+.2f")
 
 
 def _mcnemar(one: Run, other: Run, scenes: Sequence[int]) -> list[str]:

@@ -4,6 +4,7 @@ Attempts in one scene, or on one object, resemble each other: counted as indepen
 bootstraps here resample whole clusters (scenes or objects) with all their attempts.
 """
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -34,6 +35,36 @@ def wilson_interval(successes: int, trials: int, confidence: float = CONFIDENCE)
         raise ValueError(f"{successes} successes in {trials} trials")
     interval = binomtest(successes, trials).proportion_ci(confidence, method="wilson")
     return float(interval.low), float(interval.high)
+
+
+def newcombe_interval(
+    first: tuple[int, int], second: tuple[int, int], confidence: float = CONFIDENCE
+) -> tuple[float, float]:
+    """Returns Newcombe's interval of the difference of two independent success rates, from Wilson's of each.
+
+    Source: Newcombe 1998, "Interval estimation for the difference between independent proportions", method 10. Over
+    the same scenes, where what is hard for one is mostly hard for the other, it is on the wide side.
+
+    Args:
+        first: successes and trials of the first.
+        second: of the second, whose rate is subtracted.
+        confidence: of the interval.
+
+    Raises:
+        ValueError: there are no trials, or impossible counts.
+
+    Example:
+        >>> low, high = newcombe_interval((56, 70), (48, 80))
+        >>> round(low, 4), round(high, 4)
+        (0.0524, 0.3339)
+    """
+    (low_first, high_first), (low_second, high_second) = (
+        wilson_interval(*each, confidence) for each in (first, second)
+    )
+    rate_first, rate_second = first[0] / first[1], second[0] / second[1]
+    difference = rate_first - rate_second
+    low = difference - math.hypot(rate_first - low_first, high_second - rate_second)
+    return low, difference + math.hypot(high_first - rate_first, rate_second - low_second)
 
 
 def mcnemar(only_first: int, only_second: int) -> float:

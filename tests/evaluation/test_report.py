@@ -40,8 +40,6 @@ def test_simple_has_wilsons_interval_and_mcnemars_p(attempts: Attempts, write: W
 def test_clutter_counts_attempts_cleared_and_dropped(attempts: Attempts, write: Write) -> None:
     rows = attempts(["success", "slipped", "success"], ["success", "slipped", "slipped"], **CLUTTER)
     rows[1] = replace(rows[1], dropped=(1,))
-    # The object in the hand hangs over the border: it is cleared, not dropped.
-    rows[2] = replace(rows[2], dropped=(0,))
     tables = tables_of([write("a.jsonl", rows)])
     row = cells(tables["Success rates [95 % interval]"], "oracle")
     assert row["clutter success"] == "0.50 [0.33, 0.67]"  # 3 of 6; all of the one scene or of the other
@@ -77,9 +75,12 @@ def test_novel_is_resampled_by_object(attempts: Attempts, write: Write) -> None:
 
 
 def test_a_rate_without_any_variation_is_not_certain(attempts: Attempts, write: Write) -> None:
-    tables = tables_of([write("a.jsonl", attempts(*[["slipped"] * 10] * 8, **CLUTTER))])
+    rows = [attempts(*[["slipped"] * 10] * 8, method=method, **CLUTTER) for method in ("random", "none")]
+    tables = tables_of([write(f"{mine[0].method}.jsonl", mine) for mine in rows])
     # Of 8 scenes, not of 80 attempts: z² / (8 + z²).
-    assert cells(tables["Success rates [95 % interval]"], "oracle")["clutter success"] == "0.00 [0.00, 0.32]"
+    assert cells(tables["Success rates [95 % interval]"], "random")["clutter success"] == "0.00 [0.00, 0.32]"
+    pair = cells(tables["clutter: paired differences"], "random - none")
+    assert pair["success [95 % interval]"] == "+0.00 [-0.32, +0.32]"
 
 
 def test_one_cluster_has_no_interval(attempts: Attempts, write: Write) -> None:

@@ -2,7 +2,13 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from nerfgrasp.evaluation.statistics import bootstrap_difference, bootstrap_rate, mcnemar, wilson_interval
+from nerfgrasp.evaluation.statistics import (
+    bootstrap_difference,
+    bootstrap_rate,
+    mcnemar,
+    newcombe_interval,
+    wilson_interval,
+)
 
 
 def test_wilson_interval_of_half() -> None:
@@ -32,6 +38,18 @@ def test_wilson_interval_stays_within_a_rate(successes: int) -> None:
 def test_wilson_interval_refuses_impossible_counts(successes: int, trials: int) -> None:
     with pytest.raises(ValueError, match="trials"):
         wilson_interval(successes, trials)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "low", "high"),
+    # Newcombe 1998, "Interval estimation for the difference between independent proportions", table II, method 10.
+    [((56, 70), (48, 80), 0.0524, 0.3339), ((9, 10), (3, 10), 0.1705, 0.8090), ((10, 10), (0, 10), 0.6075, 1.0)],
+)
+def test_newcombe_interval_of_published_examples(
+    first: tuple[int, int], second: tuple[int, int], low: float, high: float
+) -> None:
+    assert newcombe_interval(first, second) == pytest.approx((low, high), abs=5.1e-5)
+    assert newcombe_interval(second, first) == pytest.approx((-high, -low), abs=5.1e-5)
 
 
 @pytest.mark.parametrize(
