@@ -222,5 +222,4 @@ def _aftermath(truth: Truth, world: World, verdict: _Verdict) -> Attempt:
 def _inside(centres: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Returns for each centre of mass `[N, 3]` whether it is within the workspace, seen from above."""
     low, high = (bound.double().numpy()[:2] for bound in (workspace.minimum, workspace.maximum))
-    inside: NDArray[np.bool_] = ((centres[:, :2] >= low) & (centres[:, :2] <= high)).all(axis=1)
-    return inside
+    return np.all((centres[:, :2] >= low) & (centres[:, :2] <= high), axis=1)

@@ -8,10 +8,12 @@ from torch import Tensor
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import make_pose
+from nerfgrasp.scenes.bars import TABLE_CLEARANCE
 from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
 from nerfgrasp.scenes.objects import SceneObject
-from nerfgrasp.scenes.oracle import MAX_TILT, TABLE_CLEARANCE, sample_top_down, valid_grasps
+from nerfgrasp.scenes.oracle import sample_top_down, valid_grasps
 from nerfgrasp.scenes.scene import Grasps, Observations, Truth, Workspace
+from nerfgrasp.scenes.stances import MAX_TILT
 from nerfgrasp_baselines.surfaces import centres_of_mass, has_room, sample_surface
 from nerfgrasp_baselines.trying import first_success
 

@@ -27,7 +27,7 @@ def first_success(truth: Truth, T_world_grasp: Tensor, score: Tensor, tries: int
         The grasp that succeeded, of value 1, before those that were not tried, in the order of their scores and of
         value 0; after them those that failed, of value -1.
     """
-    grasps = distinct(best_first(exactly_rigid(T_world_grasp), score), DISTANCE, ANGLE, max(tries, count))
+    grasps = distinct(best_first(exactly_rigid(T_world_grasp), score), DISTANCE, ANGLE, max(tries + 1, count))
     value = torch.zeros(len(grasps), dtype=torch.float64)
     for number in range(min(tries, len(grasps))):
         if attempt_grasp(truth, grasps.T_world_grasp[number]).outcome == Outcome.SUCCESS:

@@ -23,6 +23,9 @@ from nerfgrasp.sim.tasks.draws import (
 )
 
 OBJECTS = 5
+MAX_HEIGHT = 0.07
+"""Metres. A prism that fell over is grasped across its height, so that has to fit between the fingers as well: of
+those up to 120 mm high, one in five lay where no grasp from above could hold it."""
 PILE_REACH = 0.05
 """Metres from the workspace's centre along x and y within which objects are dropped on a pile."""
 HUDDLE_RADIUS = 0.16
@@ -48,14 +51,16 @@ def clutter_scene(seed: int, index: int) -> Truth:
 
 def _pile(rng: Generator) -> tuple[Prism, ...]:
     places = rng.uniform(-PILE_REACH, PILE_REACH, (OBJECTS, 2))
-    return pile(tuple(_placed(random_prism(rng), random_rotation(rng), place) for place in places))
+    return pile(tuple(_placed(random_prism(rng, MAX_HEIGHT), random_rotation(rng), place) for place in places))
 
 
 def _huddle(rng: Generator) -> tuple[Prism, ...]:
     angles = rng.uniform(-math.pi, math.pi) + 2 * math.pi * np.arange(OBJECTS) / OBJECTS
     places = HUDDLE_RADIUS * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     turns = [_yaw(rng) if rng.random() < UPRIGHT else random_rotation(rng) for _ in range(OBJECTS)]
-    return huddle(tuple(_placed(random_prism(rng), turn, place) for turn, place in zip(turns, places, strict=True)))
+    return huddle(
+        tuple(_placed(random_prism(rng, MAX_HEIGHT), turn, place) for turn, place in zip(turns, places, strict=True))
+    )
 
 
 def _yaw(rng: Generator) -> Tensor:

@@ -24,11 +24,14 @@ def scene_generator(seed: int, index: int, stream: int) -> Generator:
     return np.random.default_rng(np.random.SeedSequence((seed, index, stream)))
 
 
-def random_prism(rng: Generator) -> Prism:
-    """Returns a prism of a random kind, size, density and saturated colour, upright at the origin."""
+def random_prism(rng: Generator, max_height: float = 0.12) -> Prism:
+    """Returns a prism of a random kind, size, density and saturated colour, upright at the origin.
+
+    It is 25 mm to `max_height` metres high.
+    """
     kind = str(rng.choice(list(RANDOM_FOOTPRINTS)))
     parts = RANDOM_FOOTPRINTS[kind](rng)
-    height, density, colour = rng.uniform(0.025, 0.12), rng.uniform(200.0, 600.0), _saturated_colour(rng)
+    height, density, colour = rng.uniform(0.025, max_height), rng.uniform(200.0, 600.0), _saturated_colour(rng)
     return Prism(kind, parts, float(height), colour, float(density), torch.eye(4))
 
 
