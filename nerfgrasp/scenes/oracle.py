@@ -59,7 +59,7 @@ def valid_grasps(objects: Sequence[SceneObject], fingers: Fingers = ROBOTIQ_2F85
         for stance in stances(thing, fingers)
     ]
     rows = [[[*s.corner], [*s.edge_u], [*s.edge_v], [*s.closing]] for _, s in found]
-    corner, edge_u, edge_v, closing = torch.tensor(rows).reshape(-1, 4, 3).unbind(1)
+    corner, edge_u, edge_v, closing = torch.tensor(rows, dtype=torch.float32).reshape(-1, 4, 3).unbind(1)
     free_yaw = torch.tensor([stance.free_yaw for _, stance in found], dtype=torch.bool)
     numbers = torch.tensor([number for number, _ in found], dtype=torch.long)
     return ValidGrasps(corner, edge_u, edge_v, closing, free_yaw, numbers)
