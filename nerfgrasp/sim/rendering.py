@@ -139,15 +139,16 @@ def prism_mesh(prism: Prism) -> tuple[NDArray[np.float64], NDArray[np.float64], 
 def _part_mesh(part: Polygon, height: float) -> tuple[NDArray[np.float64], NDArray[np.float64], list[int]]:
     corners = np.asarray(part)
     count = len(corners)
-    top = np.column_stack([corners, np.full(count, height)])
-    vertices, normals = [top], [np.tile([0.0, 0.0, 1.0], (count, 1))]
-    indices = [i for k in range(1, count - 1) for i in (0, k, k + 1)]
+    vertices = [np.column_stack([corners, np.full(count, z)]) for z in (height, 0.0)]
+    normals = [np.tile([0.0, 0.0, up], (count, 1)) for up in (1.0, -1.0)]
+    fan = [(0, k, k + 1) for k in range(1, count - 1)]
+    indices = [i for a, b, c in fan for i in (a, b, c)] + [count + i for a, b, c in fan for i in (a, c, b)]
     for k in range(count):
         a, b = corners[k], corners[(k + 1) % count]
         vertices.append(np.array([[*a, 0.0], [*b, 0.0], [*b, height], [*a, height]]))
         outward = np.array([b[1] - a[1], a[0] - b[0], 0.0])
         normals.append(np.tile(outward / np.linalg.norm(outward), (4, 1)))
-        first = count + 4 * k
+        first = 2 * count + 4 * k
         indices += [first, first + 1, first + 2, first, first + 2, first + 3]
     return np.concatenate(vertices), np.concatenate(normals), indices
 

@@ -94,11 +94,20 @@ def test_light_and_table_differ_between_scenes():
     assert len({scene_lighting(0, index) for index in range(20)}) == 20
 
 
+def test_a_box_upside_down_looks_like_one_that_stands(scene_of):
+    scene, camera = scene_of(), scene_cameras(0, 0, 3, size=64)
+    pose = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0]))
+    pose[:3, 3] = scene.objects[0].T_world_object[:3, 3] + torch.tensor([0.0, 0.0, scene.objects[0].height])
+    turned = replace(scene, objects=(replace(scene.objects[0], T_world_object=pose),))
+    for upright, upside_down in zip(render_scene(scene, camera), render_scene(turned, camera), strict=True):
+        assert np.array_equal(upright, upside_down)
+
+
 def test_mesh_is_closed_and_faces_outwards(scene_of):
-    """The divergence theorem over all triangles but the floor's gives the volume of every part."""
+    """The divergence theorem over all triangles gives the volume of every part, wherever it is."""
     (prism,) = scene_of("u", shapes.channel(0.04, 0.02, 0.035, 0.03)).objects
     vertices, normals, indices = prism_mesh(prism)
-    triangles = vertices[np.reshape(indices, (-1, 3))]
+    triangles = vertices[np.reshape(indices, (-1, 3))] + np.array([0.3, 0.2, 1.0])
     volume = np.linalg.det(triangles).sum() / 6
     assert volume * prism.density == pytest.approx(mass_properties(prism).mass)
     faces = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
