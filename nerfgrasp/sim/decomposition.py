@@ -29,7 +29,9 @@ def convex_pieces(meshes: Iterable[trimesh.Trimesh]) -> list[trimesh.Trimesh] | 
     Args:
         meshes: each is taken apart into what hangs together.
     """
-    pieces = [piece for mesh in meshes for piece in mesh.split(only_watertight=False)]
+    # Bare of their texture: along its seams a closed surface counts as open.
+    bare = [trimesh.Trimesh(mesh.vertices, mesh.faces) for mesh in meshes]
+    pieces = [piece for mesh in bare for piece in mesh.split(only_watertight=False)]
     if not 0 < len(pieces) <= MAX_HULLS or not all(map(_is_convex, pieces)):
         return None
     return [piece.convex_hull for piece in pieces]
@@ -76,9 +78,15 @@ def read_objects(path: Path) -> list[trimesh.Trimesh]:
     """Reads a mesh file, its objects each for itself where the format knows of objects."""
     # Some published scans have normals that are not numbers.
     with np.errstate(invalid="ignore"):
-        # `dump` puts each where the scene's graph has it.
-        meshes = trimesh.load_scene(path, split_objects=True, group_material=False).dump()
-    return [mesh for mesh in meshes if isinstance(mesh, trimesh.Trimesh)]
+        scene = trimesh.load_scene(path, split_objects=True, group_material=False)
+    meshes = []
+    # By name: nothing promises an order of the scene's own, and physics depends on the order.
+    for node in sorted(scene.graph.nodes_geometry, key=lambda name: (len(name), name)):
+        T_scene_mesh, name = scene.graph[node]
+        mesh = scene.geometry[name].copy()
+        if isinstance(mesh, trimesh.Trimesh):
+            meshes.append(mesh.apply_transform(T_scene_mesh))
+    return meshes
 
 
 def solid_properties(hulls: Sequence[trimesh.Trimesh], mass: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

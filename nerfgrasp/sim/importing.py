@@ -1,19 +1,18 @@
 """Importing object models into a folder of our own form: URDF, textured mesh and convex hulls for each."""
 
 import re
+import shutil
 import tempfile
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.files import make_folder, read_json, replacing, write_json
 from nerfgrasp.sim.archives import check_sha256, fetch, is_url, unpack
-from nerfgrasp.sim.library import cache_folder
-from nerfgrasp.sim.preparation import write_model
+from nerfgrasp.sim.library import Library, ObjectModel, cache_folder
 from nerfgrasp.sim.sources import Part, Source, attachments, find_sources
 
 YCB_MASSES = {
@@ -28,6 +27,8 @@ YCB_MASSES = {
     "061_foam_brick": 0.028,
 }
 """kg, of the paper's nine, as Calli et al. 2015 weighed them: YCB's archives say nothing of mass."""
+FILES = ("visual.obj", "visual.mtl", "texture.png", "hulls.obj")
+"""Of a prepared model, those that an object's folder has."""
 ORIGIN = "source.json"
 """What an object's folder says of where it came from."""
 
@@ -80,14 +81,20 @@ def find_scans(folder: Path) -> list[Source]:
     return list(found.values())
 
 
-def write_object(source: Source, folder: Path, origin: str) -> None:
-    """Writes one object's folder, whole or not at all."""
+def write_object(model: ObjectModel, folder: Path, origin: str) -> None:
+    """Writes one object's folder, whole or not at all.
+
+    Args:
+        model: the object.
+        folder: its folder.
+        origin: where it came from, in words.
+    """
     with replacing(folder) as temporary:
         make_folder(temporary)
-        model = write_model(source, temporary)
-        (temporary / "collision.obj").unlink()
-        _write_urdf(temporary / f"{source.name}.urdf", source.name, model)
-        write_json(temporary / ORIGIN, {"source": origin, "sha256": source.sha256}, indent=1)
+        for name in FILES:
+            shutil.copyfile(model.visual.parent / name, temporary / name)
+        _write_urdf(temporary / f"{model.name}.urdf", model)
+        write_json(temporary / ORIGIN, {"source": origin, "sha256": model.sha256}, indent=1)
 
 
 def _import_folder(folder: Path, out: Path, origin: str) -> Iterator[tuple[str, bool]]:
@@ -100,20 +107,20 @@ def _import_folder(folder: Path, out: Path, origin: str) -> Iterator[tuple[str, 
                 raise UserError(f"{target} is there already, and it was not made of {source.file}: remove it first")
             yield source.name, False
         else:
-            write_object(source, target, origin)
+            write_object(Library(out.name, (source,)).model(source.name), target, origin)
             yield source.name, True
 
 
-def _write_urdf(path: Path, name: str, model: dict[str, Any]) -> None:
-    robot = ElementTree.Element("robot", name=name)
-    link = ElementTree.SubElement(robot, "link", name=name)
+def _write_urdf(path: Path, model: ObjectModel) -> None:
+    robot = ElementTree.Element("robot", name=model.name)
+    link = ElementTree.SubElement(robot, "link", name=model.name)
     for tag, file in (("visual", "visual.obj"), ("collision", "hulls.obj")):
         geometry = ElementTree.SubElement(ElementTree.SubElement(link, tag), "geometry")
         ElementTree.SubElement(geometry, "mesh", filename=file)
     inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "origin", xyz=" ".join(f"{x:.9g}" for x in model["centre"]))
-    ElementTree.SubElement(inertial, "mass", value=f"{model['mass']:.9g}")
-    moments = {f"i{'xyz'[i]}{'xyz'[j]}": f"{model['inertia'][i][j]:.9g}" for i in range(3) for j in range(i, 3)}
+    ElementTree.SubElement(inertial, "origin", xyz=" ".join(f"{x:.9g}" for x in model.centre))
+    ElementTree.SubElement(inertial, "mass", value=f"{model.mass:.9g}")
+    moments = {f"i{'xyz'[i]}{'xyz'[j]}": f"{model.inertia[i][j]:.9g}" for i in range(3) for j in range(i, 3)}
     ElementTree.SubElement(inertial, "inertia", moments)
     ElementTree.indent(robot)
     ElementTree.ElementTree(robot).write(path, encoding="unicode")

@@ -18,7 +18,7 @@ from nerfgrasp.sim.decomposition import CONVEX, MAX_HULLS, MAX_VERTICES, VHACD, 
 
 MESHES = (".obj", ".stl", ".ply", ".glb")
 """Suffixes of meshes that are read."""
-PREPARATION = 1
+PREPARATION = 2
 """Grows with every change of how models are prepared that changes the result."""
 Colour = tuple[float, float, float]
 
