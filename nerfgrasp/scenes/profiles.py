@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+FLAT = 1e-4
+"""Metres by which neighbouring columns of no height may be apart and still be joined."""
+
 
 def extent(points: Array, at: Array) -> tuple[Array, Array]:
     """Returns where the convex hull of `points` `[N, 2]` begins and ends `[S]` in each column.
@@ -90,7 +93,8 @@ def rectangles(at: Array, low: Array, high: Array, tolerance: float) -> list[tup
             k += 1
             continue
         end = _run_end(low, high, k, tolerance)
-        found.append((at[k], at[end - 1], low[k:end].max(), high[k:end].min()))
+        begin = low[k:end].max()
+        found.append((at[k], at[end - 1], begin, max(begin, high[k:end].min())))
         k = end
     return found
 
@@ -100,7 +104,7 @@ def _run_end(low: Array, high: Array, start: int, tolerance: float) -> int:
     end = start + 1
     while end < len(low) and low[end] <= high[end]:
         lows, highs = low[start : end + 1], high[start : end + 1]
-        if np.ptp(lows) > tolerance or np.ptp(highs) > tolerance or lows.max() > highs.min():
+        if np.ptp(lows) > tolerance or np.ptp(highs) > tolerance or lows.max() > highs.min() + FLAT:
             break
         end += 1
     return end

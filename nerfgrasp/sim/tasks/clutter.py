@@ -12,7 +12,7 @@ from torch import Tensor
 from nerfgrasp.geometry import make_pose
 from nerfgrasp.scenes.prisms import Prism, corners_in_world
 from nerfgrasp.scenes.scene import Truth
-from nerfgrasp.sim.settling import huddle, pile
+from nerfgrasp.sim.settling import huddle, pile, stable
 from nerfgrasp.sim.tasks.draws import (
     WORKSPACE_MARGIN,
     random_prism,
@@ -39,13 +39,13 @@ def clutter_scene(seed: int, index: int) -> Truth:
     """Returns one scene of the clutter task: five prisms at rest after being piled up or pushed together.
 
     Which of the two, and all else, is drawn from the scene's own generator; a scene of which something lies outside
-    of the workspace or within its margin is drawn again.
+    of the workspace or within its margin, or does not stay where it is, is drawn again.
     """
     rng = scene_generator(seed, index, _LAYOUT_STREAM)
     arrange = _pile if rng.random() < 0.5 else _huddle
     while True:
         objects = arrange(rng)
-        if all(_inside(prism) for prism in objects):
+        if all(_inside(prism) for prism in objects) and stable(objects):
             return Truth("clutter", seed, index, objects)
 
 
