@@ -110,9 +110,14 @@ def open_library(folder: Path | None = None) -> Library:
     Raises:
         UserError: there are no models, or a file that one of them names is missing.
     """
-    if folder is None and os.environ.get(VARIABLE):
-        folder = Path(os.environ[VARIABLE])
-    return _package_library() if folder is None else _open(Path(folder).resolve())
+    chosen = chosen_folder(folder)
+    return _package_library() if chosen is None else _open(chosen)
+
+
+def chosen_folder(folder: Path | None = None) -> Path | None:
+    """Returns the absolute folder that `open_library` opens for `folder`; None where it is the package's own."""
+    named = folder or os.environ.get(VARIABLE)
+    return Path(named).resolve() if named else None
 
 
 def model_of(thing: MeshObject) -> ObjectModel:

@@ -79,10 +79,10 @@ def write_visual(folder: Path, meshes: list[trimesh.Trimesh], colour: Colour | N
     lines = ["mtllib visual.mtl", "o visual", "usemtl texture"]
     lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in mesh.vertices.tolist()]
     lines += [f"vt {u:.7g} {v:.7g}" for u, v in mesh.visual.uv.tolist()]
-    lines += [f"vn {x:.5g} {y:.5g} {z:.5g}" for x, y, z in corner_normals(mesh).reshape(-1, 3).tolist()]
-    for number, (a, b, c) in enumerate((mesh.faces + 1).tolist()):
-        n = 3 * number + 1
-        lines.append(f"f {a}/{a}/{n} {b}/{b}/{n + 1} {c}/{c}/{n + 2}")
+    normals, which = np.unique(corner_normals(mesh).reshape(-1, 3).round(5), axis=0, return_inverse=True)
+    lines += [f"vn {x:.5f} {y:.5f} {z:.5f}" for x, y, z in normals.tolist()]
+    for (a, b, c), (i, j, k) in zip((mesh.faces + 1).tolist(), (which.reshape(-1, 3) + 1).tolist(), strict=True):
+        lines.append(f"f {a}/{a}/{i} {b}/{b}/{j} {c}/{c}/{k}")
     (folder / "visual.obj").write_text("\n".join(lines) + "\n")
 
 

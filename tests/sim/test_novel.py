@@ -1,5 +1,7 @@
 """The novel task: every object in turn, at rest within the workspace, the same on every call."""
 
+import pickle
+
 import numpy as np
 import pytest
 import trimesh
@@ -56,6 +58,16 @@ def test_objects_rest_on_the_table_within_the_workspace(scenes, shelf):
 def test_the_task_says_what_its_objects_are_of(shelf):
     task = find_task("novel", shelf)
     assert (task.name, task.attempts, task.library) == ("novel", 1, "shelf")
+
+
+def test_a_task_draws_the_same_elsewhere(scenes, shelf, tmp_path, monkeypatch):
+    """Workers get the task, not the folder that its maker stood in, nor his variables."""
+    monkeypatch.setenv("NERFGRASP_OBJECTS", "shelf")
+    monkeypatch.chdir(tmp_path)
+    task = pickle.loads(pickle.dumps(find_task("novel")))
+    monkeypatch.delenv("NERFGRASP_OBJECTS")
+    monkeypatch.chdir("/")
+    assert truth_to_json(task.draw(4, 1)) == truth_to_json(scenes[1])
 
 
 def test_faults_of_the_folder_are_met_at_once(shelf):

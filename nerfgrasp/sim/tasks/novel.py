@@ -8,10 +8,10 @@ from numpy.random import Generator
 from torch import Tensor
 
 from nerfgrasp.errors import UserError
-from nerfgrasp.geometry import make_pose
+from nerfgrasp.geometry import make_pose, transform
 from nerfgrasp.scenes.scene import Truth
-from nerfgrasp.sim.library import PYBULLET, open_library
-from nerfgrasp.sim.settling import drop
+from nerfgrasp.sim.library import chosen_folder, open_library
+from nerfgrasp.sim.settling import drop, stable
 from nerfgrasp.sim.tasks.draws import WORKSPACE_MARGIN, random_rotation, scene_generator, workspace
 from nerfgrasp.sim.tasks.task import Task
 
@@ -33,18 +33,20 @@ def novel_task(objects: Path | None = None) -> Task:
     Raises:
         UserError: there are no models, or one of them cannot be read.
     """
-    library = open_library(objects)
+    # Settled here: a worker process may stand elsewhere, and know other variables.
+    folder = chosen_folder(objects)
+    library = open_library(folder)
     # What is wrong with a user's models is said now, not in the middle of a run.
-    if library.name != PYBULLET:
+    if folder is not None:
         _ = library.models
-    return Task("novel", 1, partial(novel_scene, folder=objects), library.name)
+    return Task("novel", 1, partial(novel_scene, folder=folder), library.name)
 
 
 def novel_scene(seed: int, index: int, folder: Path | None = None) -> Truth:
     """Returns one scene of the novel task: object number `index` modulo how many there are, fallen and at rest.
 
     It is let go near the workspace's centre, turned at random; a scene of which it rolls or sticks out of the
-    workspace is drawn again.
+    workspace, or does not stay where it lies, is drawn again.
 
     Raises:
         UserError: `folder` has no models, or this one cannot be read, or it never stays in the workspace.
@@ -55,7 +57,7 @@ def novel_scene(seed: int, index: int, folder: Path | None = None) -> Truth:
     corners = torch.from_numpy(model.corners()).float()
     for _ in range(TRIES):
         resting = drop((model.place(_start(rng, corners)),))
-        if _inside(corners @ resting[0].T_world_object[:3, :3].T + resting[0].T_world_object[:3, 3]):
+        if _inside(transform(resting[0].T_world_object, corners)) and stable(resting):
             return Truth("novel", seed, index, resting)
     raise UserError(
         f"object {model.name!r} of {library.name} never comes to rest within the workspace: is it too large?"
