@@ -1,6 +1,5 @@
 import os
 import signal
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,16 +9,6 @@ import torch
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.parallel import run_all
-
-
-@pytest.fixture(scope="module")
-def ray_cluster() -> Iterator[None]:
-    """One machine with one processor, as a Ray cluster."""
-    ray = pytest.importorskip("ray", reason="Ray comes with the extra `cluster`")
-    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-    ray.init(num_cpus=1, include_dashboard=False, log_to_driver=False, object_store_memory=80_000_000)
-    yield
-    ray.shutdown()
 
 
 def missing(folder: Path, total: int) -> list[int]:
@@ -84,10 +73,9 @@ def test_the_work_of_a_dead_worker_is_done_again(
     assert "touch: a worker process died (killed, or out of memory?); going on with the" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("way", WAYS[1:], ids=["two", "ray"], indirect=True)
-def test_workers_that_keep_dying_are_told(folder: Path, way: dict[str, Any]) -> None:
+def test_workers_that_keep_dying_are_told(folder: Path) -> None:
     with pytest.raises(UserError, match=r"worker processes died 3 times .*: try fewer workers"):
-        run(folder, dies="always", **way)
+        run(folder, dies="always", workers=2)
     assert 2 in missing(folder, 5)
 
 

@@ -3,7 +3,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,8 @@ from nerfgrasp.evaluation.results import read_results, read_times, times_path
 pytest.importorskip("pybullet")
 
 from nerfgrasp.commands.evaluate import evaluate
+from nerfgrasp.evaluation.parts import Parts
+from nerfgrasp.evaluation.trials import Trials
 
 SMALL: dict[str, Any] = {"task": "simple", "method": "random", "scenes": 5, "seed": 11, "size": 32}
 
@@ -27,16 +28,6 @@ def unbroken(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("evaluate") / "results.jsonl"
     evaluate(**SMALL, out=out, workers=1)
     return out
-
-
-@pytest.fixture
-def ray_cluster() -> Iterator[None]:
-    """One machine with one processor, as a Ray cluster."""
-    ray = pytest.importorskip("ray", reason="Ray comes with the extra `cluster`")
-    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-    ray.init(num_cpus=1, include_dashboard=False, log_to_driver=False, object_store_memory=80_000_000)
-    yield
-    ray.shutdown()
 
 
 def start(out: Path, workers: int, before: str = "") -> subprocess.Popen[bytes]:
@@ -147,10 +138,11 @@ def test_other_results_are_refused(unbroken: Path, change: dict[str, Any], messa
 
 def test_the_parts_of_another_command_are_refused(tmp_path: Path) -> None:
     out = tmp_path / "results.jsonl"
-    assert start(out, 1, KILLED_WHILE_WRITING).wait(timeout=300) == -signal.SIGKILL
-    with pytest.raises(UserError, match=r"results.jsonl.parts was left by another command: its set is 'simple-11'"):
-        evaluate(**{**SMALL, "seed": 12}, out=out, workers=1)
-    assert len(list((tmp_path / "results.jsonl.parts").glob("[0-9]*.json"))) == 2
+    settings = Trials("simple", 12, "random", None, None, 32).settings()
+    Parts(out, settings).claim()
+    with pytest.raises(UserError, match=r"results.jsonl.parts was left by another command: its set is 'simple-12'"):
+        evaluate(**SMALL, out=out, workers=1)
+    assert [path.name for path in (tmp_path / "results.jsonl.parts").iterdir()] == ["settings.json"]
 
 
 @pytest.mark.parametrize(
