@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 
-from nerfgrasp.commands.generate import check_ranges, named_objects
+from nerfgrasp.commands.generate import check_ranges
 from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.methods import find_method, load_method, method_hash
 from nerfgrasp.evaluation.parts import Parts
@@ -12,6 +12,7 @@ from nerfgrasp.evaluation.results import Row, Times, read_results
 from nerfgrasp.evaluation.trials import Trials, first_scene_hash, run_scene
 from nerfgrasp.parallel import Cluster, run_all
 from nerfgrasp.sim.attempt import Outcome
+from nerfgrasp.sim.library import open_library
 from nerfgrasp.sim.tasks import find_task
 
 
@@ -50,21 +51,21 @@ def evaluate(
             be written.
     """
     check_ranges(scenes=scenes, seed=seed, workers=workers, size=size)
-    library = named_objects(task, objects)
-    find_task(task, library)
+    found = find_task(task, objects)
     name, folder = find_method(method)
     out = Path(out)
     if out.is_dir():
         raise UserError(f"cannot write {out}: it is a folder")
     model = method_hash(load_method(name, folder))
-    trials = Trials(task, seed, name, folder, model, size, library)
+    library = open_library(objects).sha256 if found.library else None
+    trials = Trials(found, seed, name, folder, model, size, library)
     if out.exists():
         tally = Tally(_finished(trials, out, scenes))
         print(f"{out} is already complete: {scenes} scenes")
     else:
         tally = Tally(_run(trials, out, scenes, workers, cluster))
         print(f"wrote {out}")
-    print(f"{name} in {scenes} scenes of {trials.settings()['set']}: {tally}")
+    print(f"{name} in {scenes} scenes of {trials.set}: {tally}")
 
 
 class Tally:

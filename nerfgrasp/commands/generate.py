@@ -1,10 +1,9 @@
 """`nerfgrasp generate`: draws and renders scenes into a set."""
 
-import os
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from nerfgrasp.data.folders import FolderWriter
 from nerfgrasp.data.packed import PackedWriter
@@ -12,6 +11,9 @@ from nerfgrasp.data.settings import SetSettings
 from nerfgrasp.errors import UserError, unknown_name
 from nerfgrasp.parallel import Cluster, run_all
 from nerfgrasp.scenes.scene import Workspace
+
+if TYPE_CHECKING:  # a training machine has no simulator
+    from nerfgrasp.sim.tasks import Task
 
 RANGES = {
     "scenes": (1, 999_999),
@@ -60,18 +62,24 @@ def generate(
     Raises:
         UserError: a value is out of range, or `out` holds another set or cannot be written.
     """
+    from nerfgrasp.sim.library import open_library
+    from nerfgrasp.sim.physics import physics_hash
+    from nerfgrasp.sim.tasks import find_task
+
     check_ranges(scenes=scenes, views=views, seed=seed, size=size, workers=workers)
     if format not in WRITERS:
         raise unknown_name("format", format, WRITERS)
-    folder = named_objects(task, objects)
-    physics, library = _hashes(task, folder, demonstrations)
+    found = find_task(task, objects)
+    # Simple scenes are drawn, not settled: without demonstrations nothing in them depends on physics.
+    physics = physics_hash() if demonstrations or task != "simple" else ""
+    library = open_library(objects).sha256 if found.library else ""
     settings = SetSettings(task, seed, scenes, views, size, demonstrations, physics, format, library)
     writer = WRITERS[format](Path(out), settings)
     writer.prepare(Workspace())
     if not writer.missing():
         print(f"{out} is already complete: {scenes} scenes")
         return
-    job = partial(write_slot, writer, folder)
+    job = partial(write_slot, writer, found)
     run_all(job, writer.missing, scenes, workers=workers, cluster=cluster, describe="generate", unit="scene")
     _report(writer)
 
@@ -88,34 +96,13 @@ def check_ranges(**values: int | None) -> None:
             raise UserError(f"{name} is {value}: it must be from {least} to {most}")
 
 
-def named_objects(task: str, objects: Path | None) -> Path | None:
-    """Returns the folder of a task's objects, where it takes one and one is named.
-
-    The variable NERFGRASP_OBJECTS is looked up here: a cluster's machines have variables of their own.
-
-    Args:
-        task: the task's name; an unknown one is a UserError.
-        objects: as the user gave it.
-
-    Raises:
-        UserError: there is no such task, or it takes no objects.
-    """
-    from nerfgrasp.sim.library import VARIABLE
-    from nerfgrasp.sim.tasks import find_task
-
-    variable = os.environ.get(VARIABLE) if task == "novel" else None
-    folder = Path(variable) if objects is None and variable else objects
-    find_task(task, folder)
-    return None if folder is None else Path(folder).resolve()
-
-
-def write_slot(writer: PackedWriter | FolderWriter, objects: Path | None, index: int) -> None:
+def write_slot(writer: PackedWriter | FolderWriter, task: "Task", index: int) -> None:
     """Draws, renders and writes scene `index` of a set; a pure function of the set's settings and `index`."""
     from nerfgrasp.sim.rendering import render_scene
-    from nerfgrasp.sim.tasks import find_task, scene_cameras
+    from nerfgrasp.sim.tasks import scene_cameras
 
     settings = writer.settings
-    truth = find_task(settings.task, objects).draw(settings.seed, index)
+    truth = task.draw(settings.seed, index)
     camera = scene_cameras(settings.seed, index, settings.views, settings.size)
     images, masks = render_scene(truth, camera)
     if settings.demonstrations:
@@ -123,16 +110,6 @@ def write_slot(writer: PackedWriter | FolderWriter, objects: Path | None, index:
 
         truth = replace(truth, demonstration=demonstrate(truth))
     writer.write(index, images, masks, camera, truth)
-
-
-def _hashes(task: str, objects: Path | None, demonstrations: bool) -> tuple[str, str]:
-    """Returns the hashes of the physics and of the objects that a set depends on; empty where on none."""
-    from nerfgrasp.sim.library import open_library
-    from nerfgrasp.sim.physics import physics_hash
-
-    # Simple scenes are drawn, not settled: without demonstrations nothing in them depends on physics.
-    physics = physics_hash() if demonstrations or task != "simple" else ""
-    return physics, open_library(objects).sha256 if task == "novel" else ""
 
 
 def _report(writer: PackedWriter | FolderWriter) -> None:

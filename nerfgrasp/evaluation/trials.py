@@ -3,10 +3,9 @@
 import hashlib
 import json
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import roma
@@ -24,10 +23,9 @@ from nerfgrasp.scenes.prisms import Prism
 from nerfgrasp.scenes.scene import Grasps, Observations, Truth
 from nerfgrasp.scenes.truth import truth_to_json
 from nerfgrasp.sim.attempt import Attempt, Outcome, attempt_grasp
-from nerfgrasp.sim.library import open_library
 from nerfgrasp.sim.physics import physics_hash
 from nerfgrasp.sim.rendering import render_scene
-from nerfgrasp.sim.tasks import Task, find_task, scene_cameras, scene_generator, workspace
+from nerfgrasp.sim.tasks import Task, scene_cameras, scene_generator, workspace
 
 VIEWS = 3
 """Pictures that a method is given."""
@@ -39,8 +37,8 @@ _PROPOSAL_STREAM = 1000
 class Trials:
     """Everything that the results of an evaluation depend on, but for how many scenes there are."""
 
-    task: str
-    """The task's name."""
+    task: Task
+    """What draws the scenes."""
     seed: int
     """Of the scene set."""
     method: str
@@ -51,25 +49,18 @@ class Trials:
     """Hash of the method's weights."""
     size: int = 128
     """Width and height of a picture in pixels."""
-    objects: Path | None = None
-    """The folder of the task's objects, where it takes one and one is named."""
+    library: str | None = None
+    """Hash of the library that the objects come from."""
 
-    def find_task(self) -> Task:
-        """Returns the task; an unknown one, or a folder without objects, is a UserError."""
-        return find_task(self.task, self.objects)
+    @property
+    def set(self) -> str:
+        """What the scenes of the task and the seed are called, e.g. `simple-100` or `novel-ycb-100`."""
+        return "-".join([self.task.name, *([self.task.library] if self.task.library else []), str(self.seed)])
 
     def settings(self) -> dict[str, Any]:
         """Returns as JSON data what tells these trials from others; where folders lie does not."""
-        task, named = self.find_task(), asdict(self)
-        del named["folder"], named["objects"]
-        library = open_library(self.objects).sha256 if task.library else None
-        hashes = {"library": library, "physics": physics_hash()}
-        return {"set": set_name(task, self.seed), **named, **hashes, "versions": versions()}
-
-
-def set_name(task: Task, seed: int) -> str:
-    """Returns what the scenes of a task and a seed are called, e.g. `simple-100` or `novel-ycb-100`."""
-    return "-".join([task.name, *([task.library] if task.library else []), str(seed)])
+        named = {name: getattr(self, name) for name in ("set", "seed", "method", "model", "size", "library")}
+        return {"task": self.task.name, **named, "physics": physics_hash(), "versions": versions()}
 
 
 def versions() -> dict[str, str]:
@@ -84,14 +75,14 @@ def run_scene(trials: Trials, scene: int) -> list[tuple[Row, Times]]:
     was lifted it is gone; the scene ends when the table is empty.
 
     Raises:
-        UserError: task or method cannot be loaded, or the method proposed what is no pose.
+        UserError: the method cannot be loaded, or proposed what is no pose.
     """
-    task, method = trials.find_task(), load_method(trials.method, trials.folder)
-    truth, attempts = task.draw(trials.seed, scene), []
-    for number in range(task.attempts):
+    method = load_method(trials.method, trials.folder)
+    truth, attempts = trials.task.draw(trials.seed, scene), []
+    for number in range(trials.task.attempts):
         if not truth.objects:
             break
-        row, times, after = _try(trials, task, method, truth, number)
+        row, times, after = _try(trials, method, truth, number)
         attempts.append((row, times))
         truth = replace(truth, objects=after.after, demonstration=None)
     return attempts
@@ -99,7 +90,7 @@ def run_scene(trials: Trials, scene: int) -> list[tuple[Row, Times]]:
 
 def first_scene_hash(trials: Trials) -> str:
     """Returns the hash of the set's first scene, as its first attempt meets it."""
-    truth = trials.find_task().draw(trials.seed, 0)
+    truth = trials.task.draw(trials.seed, 0)
     return scene_hash(truth, scene_cameras(trials.seed, 0, VIEWS, trials.size))
 
 
@@ -120,7 +111,7 @@ def recorded_pose(grasp: dict[str, list[float]]) -> Tensor:
     return make_pose(roma.unitquat_to_rotmat(quaternion), position)
 
 
-def _try(trials: Trials, task: Task, method: Method, truth: Truth, number: int) -> tuple[Row, Times, Attempt]:
+def _try(trials: Trials, method: Method, truth: Truth, number: int) -> tuple[Row, Times, Attempt]:
     """Makes one attempt, number `number` of a scene, in the scene as it is now."""
     camera = scene_cameras(truth.seed, truth.index, VIEWS, trials.size)
     clock = [time.perf_counter()]
@@ -133,8 +124,8 @@ def _try(trials: Trials, task: Task, method: Method, truth: Truth, number: int) 
     attempt = _carry_out(truth, grasp)
     clock.append(time.perf_counter())
     row = Row(
-        set=set_name(task, trials.seed),
-        task=task.name,
+        set=trials.set,
+        task=trials.task.name,
         seed=trials.seed,
         scene=truth.index,
         attempt=number,

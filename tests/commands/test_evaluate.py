@@ -18,6 +18,7 @@ pytest.importorskip("pybullet")
 from nerfgrasp.commands.evaluate import evaluate
 from nerfgrasp.evaluation.parts import Parts
 from nerfgrasp.evaluation.trials import Trials
+from nerfgrasp.sim.tasks import find_task
 
 SMALL: dict[str, Any] = {"task": "simple", "method": "random", "scenes": 5, "seed": 11, "size": 32}
 
@@ -138,9 +139,12 @@ def test_other_results_are_refused(unbroken: Path, change: dict[str, Any], messa
 
 def test_the_parts_of_another_command_are_refused(tmp_path: Path) -> None:
     out = tmp_path / "results.jsonl"
-    settings = Trials("simple", 12, "random", None, None, 32).settings()
+    settings = Trials(find_task("simple"), 12, "random", None, None, 32).settings()
     Parts(out, settings).claim()
-    with pytest.raises(UserError, match=r"results.jsonl.parts was left by another command: its set is 'simple-12'"):
+    with pytest.raises(
+        UserError,
+        match=r"left by another command: its set is 'simple-12', asked for 'simple-11'",
+    ):
         evaluate(**SMALL, out=out, workers=1)
     assert [path.name for path in (tmp_path / "results.jsonl.parts").iterdir()] == ["settings.json"]
 

@@ -16,6 +16,7 @@ from nerfgrasp.commands.generate import generate
 from nerfgrasp.data.packed import PackedScenes, PackedWriter
 from nerfgrasp.errors import UserError
 from nerfgrasp.scenes.folder import read_scene
+from nerfgrasp.sim.tasks import Task
 
 pytest.importorskip("pybullet")
 
@@ -195,7 +196,7 @@ def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
 
 
 def test_an_error_in_a_worker_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def failing(writer: PackedWriter, objects: Path | None, index: int) -> None:
+    def failing(writer: PackedWriter, task: Task, index: int) -> None:
         raise ZeroDivisionError(f"in scene {index}")
 
     monkeypatch.setattr(command, "write_slot", failing)
@@ -206,13 +207,13 @@ def test_an_error_in_a_worker_is_seen(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_a_lost_worker_is_replaced(unbroken: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_slot, mark = command.write_slot, tmp_path / "died"
 
-    def dying_once(writer: PackedWriter, objects: Path | None, index: int) -> None:
+    def dying_once(writer: PackedWriter, task: Task, index: int) -> None:
         import os
 
         if index == 3 and not mark.exists():
             mark.touch()
             os.kill(os.getpid(), 9)
-        write_slot(writer, objects, index)
+        write_slot(writer, task, index)
 
     monkeypatch.setattr(command, "write_slot", dying_once)
     generate(**SMALL, out=tmp_path / "set", workers=2)
@@ -224,7 +225,7 @@ def test_workers_that_keep_dying_are_told(tmp_path: Path, monkeypatch: pytest.Mo
     deaths = tmp_path / "deaths"
     deaths.mkdir()
 
-    def dying(writer: PackedWriter, objects: Path | None, index: int) -> None:
+    def dying(writer: PackedWriter, task: Task, index: int) -> None:
         import os
 
         (deaths / str(os.getpid())).touch()

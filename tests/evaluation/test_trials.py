@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import Any
 
 import pytest
 import torch
@@ -17,7 +17,7 @@ from nerfgrasp.evaluation import trials
 from nerfgrasp.evaluation.trials import Trials, proposal_generator, recorded_pose, run_scene, scene_hash
 from nerfgrasp.scenes.oracle import sample_top_down, valid_grasps
 from nerfgrasp.sim.attempt import attempt_grasp
-from nerfgrasp.sim.tasks import Task, find_task, scene_cameras
+from nerfgrasp.sim.tasks import find_task, scene_cameras
 
 DOWN = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0]))
 
@@ -49,7 +49,7 @@ def script(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Scripted]:
     return make
 
 
-SIMPLE = Trials("simple", 3, "scripted", None, None, size=32)
+SIMPLE = Trials(find_task("simple"), 3, "scripted", None, None, size=32)
 
 
 def high(observations: Observations, generator: torch.Generator) -> torch.Tensor:
@@ -115,22 +115,12 @@ def test_attempts_draw_apart_and_the_same_again() -> None:
     assert [draw(*key) for key in keys] == [draw(*key) for key in keys]
 
 
-class Repeated:
-    """A task of four attempts at most, in the simple task's scenes."""
-
-    scene: ClassVar[int] = 1
-
-    @staticmethod
-    def find(name: str, objects: object = None) -> Task:
-        return replace(find_task("simple"), name="repeated", attempts=4)
+REPEATED = replace(SIMPLE, task=replace(find_task("simple"), name="repeated", attempts=4))
 
 
-def test_lifted_objects_are_gone_and_the_next_attempt_looks_anew(
-    script: Callable[..., Scripted], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(trials, "find_task", Repeated.find)
+def test_lifted_objects_are_gone_and_the_next_attempt_looks_anew(script: Callable[..., Scripted]) -> None:
     method = script(demonstrated, {"truth"})
-    rows = [row for row, _ in run_scene(SIMPLE, Repeated.scene)]
+    rows = [row for row, _ in run_scene(REPEATED, 1)]
     assert [row.attempt for row in rows] == list(range(len(rows)))
     lifted = [index for index, row in enumerate(rows) if row.outcome == "success"]
     assert lifted, "a valid grasp lifts"
@@ -144,11 +134,8 @@ def test_lifted_objects_are_gone_and_the_next_attempt_looks_anew(
     assert len(rows) == 4 or len(rows[-1].objects) == 1
 
 
-def test_a_scene_without_a_grasp_goes_on_to_its_next_attempt(
-    script: Callable[..., Scripted], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(trials, "find_task", Repeated.find)
+def test_a_scene_without_a_grasp_goes_on_to_its_next_attempt(script: Callable[..., Scripted]) -> None:
     script(lambda observations, generator: None)
-    rows = [row for row, _ in run_scene(SIMPLE, 0)]
+    rows = [row for row, _ in run_scene(REPEATED, 0)]
     assert [(row.attempt, row.outcome) for row in rows] == [(k, "no_grasp") for k in range(4)]
     assert len({row.scene_sha256 for row in rows}) == 1
