@@ -33,7 +33,7 @@ SIDE, COLUMNS = 200, 6
 """Pixels of an image, and images in a row."""
 OVERSAMPLE = 2
 """Images are rendered so many times larger and shrunk, which smooths their edges."""
-LENSES = {"simple": 1.15, "clutter": 1.4, "novel": 2.0}
+LENSES = {"simple": 1.15, "clutter": 1.4, "novel": 1.8}
 CLOSE_LENS = 1.4
 """Focal lengths in image widths; that of the tasks' own cameras is 0.94."""
 SHIFT, TURN, SINK = 0.014, math.radians(14.0), 0.004

@@ -76,7 +76,8 @@ def differences_table(runs: Sequence[Run]) -> Table:
         cells += _mcnemar(one, other, scenes) if paired else []
         rows.append((f"{one.label} - {other.label}", str(len(scenes)), *cells))
     over = "objects" if task.cluster == "object" else "scenes"
-    note = f"First less second, in the same scenes; intervals: paired bootstrap over {over}."
+    how = f"paired bootstrap over {over}; Newcombe's if both rates are 0 or 1"
+    note = f"First less second, in the same scenes; intervals: {how}."
     return Table(f"{runs[0].task}: paired differences", header, tuple(rows), (note,))
 
 

@@ -46,14 +46,17 @@ class Run:
 def load_runs(paths: Sequence[Path]) -> list[Run]:
     """Reads results files, with the wall times beside them where there are any, in the order given.
 
+    A file of wall times that is named along with its results, as by `*.jsonl`, is no run.
+
     Raises:
         UserError: a file is damaged, mixes runs or lacks an attempt; or two files are of the same method and task,
             of different physics, or of different scenes. The message names what differs, and where.
     """
-    files = {path: read_results(path) for path in paths}
-    if len(files) < len(paths):
-        twice, _ = Counter(paths).most_common(1)[0]
+    twice, count = Counter(paths).most_common(1)[0]
+    if count > 1:
         raise UserError(f"{twice} is given twice")
+    wall_times = {times_path(path) for path in paths}
+    files = {path: read_results(path) for path in paths if path not in wall_times}
     for path, rows in files.items():
         _check_file(path, rows)
     models = {(rows[0].method, rows[0].model) for rows in files.values()}

@@ -28,6 +28,14 @@ def test_rows_are_read_by_scene_with_the_times_beside(attempts: Attempts, write:
     assert common_scenes(run, bare) == [0]
 
 
+def test_wall_times_named_along_with_their_results_are_no_run(attempts: Attempts, write: Write, tmp_path: Path) -> None:
+    write("a.jsonl", attempts(["success"]), [Times(0, 0, 0.1, 0.2, 0.3)])
+    [run] = load_runs(sorted(tmp_path.glob("*.jsonl")))
+    assert run.path.name == "a.jsonl"
+    with pytest.raises(UserError, match="a.times.jsonl, line 1: format None"):
+        load_runs([tmp_path / "a.times.jsonl"])
+
+
 def test_models_of_one_method_are_told_apart(attempts: Attempts, write: Write) -> None:
     models = ["a" * 16, "b" * 16]
     paths = [write(f"{m[0]}.jsonl", attempts(["success"], method="psi", model=m)) for m in models]
