@@ -1,6 +1,7 @@
 """The methods that are evaluated: found by a registered name, or by the model folder that names one."""
 
 from functools import lru_cache
+from inspect import Parameter, signature
 from pathlib import Path
 from typing import ClassVar, Protocol
 
@@ -60,9 +61,13 @@ def load_method(name: str, folder: str | None) -> Method:
         folder: to load it from; None for its default.
 
     Raises:
-        UserError: it cannot be loaded.
+        UserError: it cannot be loaded, or it has no default.
     """
-    method: Method = registry.load(registry.BASELINES, name).from_pretrained(folder)
+    loader = registry.load(registry.BASELINES, name).from_pretrained
+    parameter = next(iter(signature(loader).parameters.values()))
+    if folder is None and parameter.default is Parameter.empty:
+        raise UserError(f"method {name!r} needs a model: give the model's folder instead of the method's name")
+    method: Method = loader() if folder is None else loader(folder)
     if isinstance(getattr(method, "model", None), nn.Module):
         keep_freed_memory()
     return method

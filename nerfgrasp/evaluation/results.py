@@ -141,13 +141,17 @@ def _read_lines(path: Path, parse: Callable[[Any], Line]) -> list[Line]:
     lines: dict[tuple[int, int], Line] = {}
     for number, text_line in enumerate(text.splitlines(), start=1):
         try:
-            line = parse(json.loads(text_line))
+            line = parse(json.loads(text_line, parse_constant=_no_number))
         except (ValueError, RecursionError) as error:
             raise UserError(f"{path}, line {number}: {error}") from error
         if (line.scene, line.attempt) in lines:
             raise UserError(f"{path}, line {number}: attempt {line.attempt} of scene {line.scene} is there twice")
         lines[line.scene, line.attempt] = line
     return list(lines.values())
+
+
+def _no_number(constant: str) -> float:
+    raise ValueError(f"{constant} is no number")
 
 
 def _from_json(kind: type[Line], data: Any) -> Line:

@@ -67,6 +67,7 @@ def damaged(**change: Any) -> str:
         ("[]", "it is not a JSON object"),
         (damaged(format=2), "format 2, this program reads 1"),
         (damaged(scene="4"), "'scene' is '4'"),
+        (damaged(value=float("nan")), "NaN is no number"),
         (damaged(value=True), "'value' is True"),
         (damaged(extra=1), "'extra' is missing or unknown"),
         (damaged(grasp={"position": [0, 0], "quaternion": [0, 0, 0, 1]}), "'grasp' is"),
