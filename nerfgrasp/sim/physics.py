@@ -21,9 +21,10 @@ class Physics:
     """Of objects; PyBullet multiplies the coefficients of the two bodies in touch."""
     pad_friction: float = 0.7
     """Of the gripper's pads."""
-    pad_stiffness: float = 30000.0
+    pad_stiffness: float = 60000.0
     """N/m, of each point of contact with a pad. Rigid pads bear all their load in one corner, where it withstands
-    no torque, and objects held off their centre swing down; rubber spreads it."""
+    no torque, and objects held off their centre swing down; rubber spreads it. Half as much would let a pad that
+    presses on an edge in a single point sink in by more than 1 mm."""
     pad_damping: float = 1000.0
     """N s/m, likewise."""
     pad_anchor: bool = True
