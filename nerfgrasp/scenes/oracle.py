@@ -122,7 +122,10 @@ def _downward_rotation(closing: Tensor) -> Tensor:
 
 
 def _nearest_errors(T: Tensor, valid: ValidGrasps) -> tuple[Tensor, Tensor]:
-    translation, rotation = _translations(T[:, :3, 3], valid), _rotations(T[:, :3, :3], valid)
+    # Rectangles of one slab share their closing axis: its rotation errors are found once.
+    axes, which = torch.cat([valid.closing, valid.free_yaw[:, None]], dim=1).unique(dim=0, return_inverse=True)
+    rotation = _rotations(T[:, :3, :3], axes[:, :3], axes[:, 3] > 0)[:, which.to(T.device)]
+    translation = _translations(T[:, :3, 3], valid)
     nearest = (translation / TRANSLATION_SCALE + rotation / ROTATION_SCALE).argmin(dim=1, keepdim=True)
     return translation.gather(1, nearest)[:, 0], rotation.gather(1, nearest)[:, 0]
 
@@ -136,21 +139,21 @@ def _translations(points: Tensor, valid: ValidGrasps) -> Tensor:
     return offset.norm(dim=-1)
 
 
-def _rotations(rotation: Tensor, valid: ValidGrasps) -> Tensor:
-    """Returns the geodesic angles `[N, G]` from rotations `[N, 3, 3]` to the nearest valid ones.
+def _rotations(rotation: Tensor, closing: Tensor, free_yaw: Tensor) -> Tensor:
+    """Returns the geodesic angles `[N, C]` from rotations `[N, 3, 3]` to the nearest that close along axes `[C, 3]`.
 
     Valid are R0 Rx(φ) with R0 = [c, z0 × c, z0], z0 as near to down as c allows, |φ| ≤ φmax, and the same with -c.
     With Δ = R0ᵀ R as a quaternion, the twist nearest to it is φ = 2 atan2(x, w), clamped; -c swaps (w, x) for
     (z, y). Free yaw adds any Rz(ψ), maximised in closed form before φ.
     """
-    down = _downward_rotation(valid.closing.to(rotation))
+    down = _downward_rotation(closing.to(rotation))
     max_twist = torch.acos((math.cos(MAX_TILT) / -down[:, 2, 2]).clamp(max=1.0))
     inverse = roma.quat_conjugation(roma.rotmat_to_unitquat(down))
     relative = roma.quat_product(*torch.broadcast_tensors(inverse, roma.rotmat_to_unitquat(rotation)[:, None]))
     x, y, z, w = relative.unbind(-1)
     plain = torch.minimum(_twist_error(w, x, y, z, max_twist), _twist_error(z, y, x, w, max_twist))
     free = _twist_and_yaw_error(w, x, y, z, max_twist)
-    return torch.where(valid.free_yaw.to(rotation.device), free, plain)
+    return torch.where(free_yaw.to(rotation.device), free, plain)
 
 
 def _twist_error(w: Tensor, x: Tensor, y: Tensor, z: Tensor, max_twist: Tensor) -> Tensor:
