@@ -17,9 +17,15 @@ COMMANDS = {
     "fit": "train a backbone or a grasp value from a config",
     "validate": "run a config's validation on a checkpoint",
     "test": "run a config's test on a checkpoint",
+    "evaluate": "try a method in the scenes of a task",
+    "report": "print success rates, differences and errors of results",
+    "objects": "import object models for the task of novel objects",
     "plugins": "list and check what is installed",
 }
 """Every subcommand with its line of help."""
+
+GROUPS = ("objects", "plugins")
+"""Those with subcommands of their own, which parse their arguments themselves."""
 
 LIGHTNING = ("fit", "validate", "test")
 """The subcommands that one LightningCLI serves."""
@@ -68,12 +74,15 @@ def _run(args: list[str]) -> int:
 
 
 def _command(name: str) -> Callable[[list[str]], object]:
-    """Imports a subcommand and returns what runs it on its arguments."""
+    """Imports a subcommand and returns what runs it on its arguments.
+
+    Its `main`, if the module has one; else the function of the command's name, whose signature says what to parse.
+    """
     if name in LIGHTNING:
         fit = import_module("nerfgrasp.commands.fit")
         return lambda args: fit.main(name, args)
     module = import_module(f"nerfgrasp.commands.{name}")
-    if name == "plugins":
+    if hasattr(module, "main"):
         return module.main
     parsing = import_module("nerfgrasp.commands.parsing")
     return lambda args: parsing.call(getattr(module, name), args, prog=f"nerfgrasp {name}")
@@ -89,8 +98,8 @@ def _help() -> str:
 commands:
 {rows}
 
-`nerfgrasp COMMAND --help` lists a command's options. Every command but `plugins` takes `--config FILE` and
-`--print_config`.
+`nerfgrasp COMMAND --help` lists a command's options. Every command but `objects` and `plugins` takes
+`--config FILE` and `--print_config`.
 
 options:
   -h, --help  show this help and exit

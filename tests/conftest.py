@@ -9,7 +9,7 @@ os.environ.setdefault("HF_HUB_OFFLINE", "1")
 # No window and no warning about one.
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -141,3 +141,55 @@ def tiny_network() -> Callable[..., Any]:
         return MVNeRFConfig(**{**defaults, **changes})
 
     return make
+
+
+@pytest.fixture
+def object_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Prepared object models and downloads go to this fresh folder, and no folder of objects is set."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.delenv("NERFGRASP_OBJECTS", raising=False)
+    return tmp_path / "cache"
+
+
+CUBE = [(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
+CUBE_FACES = {"top": (2, 6, 8, 4), "bottom": (1, 3, 7, 5), "sides": (1, 5, 6, 2), "side 2": (5, 7, 8, 6)}
+CUBE_FACES |= {"side 3": (7, 3, 4, 8), "side 4": (3, 1, 2, 4)}
+
+
+@pytest.fixture
+def make_box() -> Callable[..., Path]:
+    """Returns a function that writes a box as a textured OBJ: red on top, green below, blue all around.
+
+    Its texture's quarters have four colours, so that one mirrored in either direction shows.
+    """
+    from PIL import Image
+
+    def make(
+        folder: Path, size: tuple[float, float, float] = (0.04, 0.06, 0.1), name: str = "textured", texture: bool = True
+    ) -> Path:
+        folder.mkdir(parents=True, exist_ok=True)
+        lines = [f"mtllib {name}.mtl"] * texture
+        lines += [f"v {x * size[0]} {y * size[1]} {z * size[2]}" for x, y, z in CUBE]
+        lines += ["vt 0.25 0.75", "vt 0.25 0.25", "vt 0.75 0.75", *["usemtl skin"] * texture]
+        for face, corners in CUBE_FACES.items():
+            patch = {"top": 1, "bottom": 2}.get(face, 3)
+            lines.append("f " + " ".join(f"{corner}/{patch}" for corner in corners))
+        (folder / f"{name}.obj").write_text("\n".join(lines) + "\n")
+        if texture:
+            (folder / f"{name}.mtl").write_text("newmtl skin\nmap_Kd texture_map.png \n")
+            pixels = np.zeros((64, 64, 3), np.uint8)
+            pixels[:32, :32, 0] = pixels[32:, :32, 1] = pixels[:32, 32:, 2] = 255
+            Image.fromarray(pixels).save(folder / "texture_map.png")
+        return folder / f"{name}.obj"
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def ray_cluster() -> Iterator[None]:
+    """One machine with one processor, as a Ray cluster."""
+    ray = pytest.importorskip("ray", reason="Ray comes with the extra `cluster`")
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    ray.init(num_cpus=1, include_dashboard=False, log_to_driver=False, object_store_memory=80_000_000)
+    yield
+    ray.shutdown()

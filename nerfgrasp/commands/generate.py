@@ -1,26 +1,29 @@
 """`nerfgrasp generate`: draws and renders scenes into a set."""
 
-from collections.abc import Iterator
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Literal
-
-import torch
-from joblib import Parallel, cpu_count, delayed, parallel_config
-from tqdm import tqdm
+from typing import TYPE_CHECKING, Literal
 
 from nerfgrasp.data.folders import FolderWriter
 from nerfgrasp.data.packed import PackedWriter
 from nerfgrasp.data.settings import SetSettings
 from nerfgrasp.errors import UserError, unknown_name
+from nerfgrasp.parallel import Cluster, run_all
 from nerfgrasp.scenes.scene import Workspace
 
-TASKS = ("simple",)
+if TYPE_CHECKING:  # a training machine has no simulator
+    from nerfgrasp.sim.tasks import Task
+
+RANGES = {
+    "scenes": (1, 999_999),
+    "views": (1, 1000),
+    "seed": (0, 2**32 - 1),
+    "size": (16, 2048),
+    "workers": (1, 1024),
+}
+"""The least and the most that the commands take."""
 WRITERS: dict[str, type[PackedWriter] | type[FolderWriter]] = {"packed": PackedWriter, "folders": FolderWriter}
-RESTARTS = 2
-"""How often scenes are taken up again after a worker process died."""
 
 
 def generate(
@@ -33,6 +36,8 @@ def generate(
     size: int = 128,
     demonstrations: bool = True,
     workers: int | None = None,
+    cluster: Cluster | None = None,
+    objects: Path | None = None,
     format: Literal["packed", "folders"] = "packed",
 ) -> None:
     """Generates a set of simulated scenes: images from known cameras, the truth and, if asked for, a grasp each.
@@ -41,7 +46,7 @@ def generate(
     stopped or killed continues where the same command is given again.
 
     Args:
-        task: what the scenes are: `simple`.
+        task: what the scenes are: `simple`, `clutter` or `novel`.
         scenes: how many scenes.
         views: images of each scene.
         seed: a set's scenes are the first of an endless sequence that the seed names.
@@ -49,79 +54,62 @@ def generate(
         size: width and height of an image in pixels.
         demonstrations: whether to demonstrate a grasp in each scene, in physics.
         workers: number of processes; one a core if not given.
+        cluster: `ray` draws and renders on a Ray cluster, whose machines all see `out`.
+        objects: for `novel`: a folder of URDFs or meshes; the one that NERFGRASP_OBJECTS names if not given, or else
+            the objects that come with pybullet.
         format: `packed` for training, or `folders`, one scene folder each.
 
     Raises:
         UserError: a value is out of range, or `out` holds another set or cannot be written.
     """
-    _check(task, scenes, views, seed, size, workers, format)
-    # Without demonstrations nothing in a set depends on physics.
-    physics = _physics() if demonstrations else ""
-    settings = SetSettings(task, seed, scenes, views, size, demonstrations, physics, format)
+    from nerfgrasp.sim.library import open_library
+    from nerfgrasp.sim.physics import physics_hash
+    from nerfgrasp.sim.tasks import find_task
+
+    check_ranges(scenes=scenes, views=views, seed=seed, size=size, workers=workers)
+    if format not in WRITERS:
+        raise unknown_name("format", format, WRITERS)
+    found = find_task(task, objects)
+    # Simple scenes are drawn, not settled: without demonstrations nothing in them depends on physics.
+    physics = physics_hash() if demonstrations or task != "simple" else ""
+    library = open_library(objects).sha256 if found.library else ""
+    settings = SetSettings(task, seed, scenes, views, size, demonstrations, physics, format, library)
     writer = WRITERS[format](Path(out), settings)
     writer.prepare(Workspace())
-    missing = writer.missing()
-    if not missing:
+    if not writer.missing():
         print(f"{out} is already complete: {scenes} scenes")
         return
-    _write_missing(writer, missing, workers or cpu_count())
+    job = partial(write_slot, writer, found)
+    run_all(job, writer.missing, scenes, workers=workers, cluster=cluster, describe="generate", unit="scene")
     _report(writer)
 
 
-def _physics() -> str:
-    from nerfgrasp.sim.physics import PHYSICS, physics_hash
+def check_ranges(**values: int | None) -> None:
+    """Checks arguments by their names against `RANGES`; None is always right.
 
-    return physics_hash(PHYSICS)
+    Raises:
+        UserError: one is out of its range.
+    """
+    for name, value in values.items():
+        least, most = RANGES[name]
+        if value is not None and not least <= value <= most:
+            raise UserError(f"{name} is {value}: it must be from {least} to {most}")
 
 
-def write_slot(writer: PackedWriter | FolderWriter, index: int) -> None:
+def write_slot(writer: PackedWriter | FolderWriter, task: "Task", index: int) -> None:
     """Draws, renders and writes scene `index` of a set; a pure function of the set's settings and `index`."""
     from nerfgrasp.sim.rendering import render_scene
-    from nerfgrasp.sim.tasks import scene_cameras, simple_scene
+    from nerfgrasp.sim.tasks import scene_cameras
 
     settings = writer.settings
-    with _single_thread():
-        truth = simple_scene(settings.seed, index)
-        camera = scene_cameras(settings.seed, index, settings.views, settings.size)
-        images, masks = render_scene(truth, camera)
-        if settings.demonstrations:
-            from nerfgrasp.sim.attempt import demonstrate
+    truth = task.draw(settings.seed, index)
+    camera = scene_cameras(settings.seed, index, settings.views, settings.size)
+    images, masks = render_scene(truth, camera)
+    if settings.demonstrations:
+        from nerfgrasp.sim.attempt import demonstrate
 
-            truth = replace(truth, demonstration=demonstrate(truth))
+        truth = replace(truth, demonstration=demonstrate(truth))
     writer.write(index, images, masks, camera, truth)
-
-
-def _write_missing(writer: PackedWriter | FolderWriter, missing: list[int], workers: int) -> None:
-    total = writer.settings.scenes
-    with tqdm(total=total, initial=total - len(missing), unit="scene", desc="generate", disable=None) as progress:
-        for attempt in range(RESTARTS + 1):
-            try:
-                for _ in _in_parallel(writer, missing, workers):
-                    progress.update()
-                return
-            except BrokenProcessPool as error:
-                missing = writer.missing()
-                progress.n = total - len(missing)
-                if attempt == RESTARTS:
-                    message = f"worker processes died {attempt + 1} times (out of memory?)"
-                    raise UserError(f"{message}: try fewer workers; the same command continues") from error
-
-
-def _in_parallel(writer: PackedWriter | FolderWriter, missing: list[int], workers: int) -> Iterator[None]:
-    with parallel_config("loky", n_jobs=min(workers, len(missing)), inner_max_num_threads=1):
-        # One scene takes far longer than handing it out: no batches, so that a killed run loses little.
-        parallel = Parallel(return_as="generator_unordered", batch_size=1)
-        yield from parallel(delayed(write_slot)(writer, index) for index in missing)
-
-
-@contextmanager
-def _single_thread() -> Iterator[None]:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def _report(writer: PackedWriter | FolderWriter) -> None:
@@ -131,15 +119,3 @@ def _report(writer: PackedWriter | FolderWriter) -> None:
         without = sum(writer.truth(index).demonstration is None for index in range(settings.scenes))
         line += f", {without} without a demonstrated grasp"
     print(line)
-
-
-def _check(task: str, scenes: int, views: int, seed: int, size: int, workers: int | None, format: str) -> None:
-    if task not in TASKS:
-        raise unknown_name("task", task, TASKS)
-    if format not in WRITERS:
-        raise unknown_name("format", format, WRITERS)
-    ranges = {"scenes": (scenes, 1, 999_999), "views": (views, 1, 1000), "size": (size, 16, 2048)}
-    ranges |= {"seed": (seed, 0, 2**32 - 1), "workers": (1 if workers is None else workers, 1, 1024)}
-    for name, (value, least, most) in ranges.items():
-        if not least <= value <= most:
-            raise UserError(f"{name} is {value}: it must be from {least} to {most}")

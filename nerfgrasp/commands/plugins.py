@@ -1,22 +1,16 @@
 """`nerfgrasp plugins list [--check]`: what is installed, read from metadata; with `--check`, whether it works."""
 
 import sys
-from argparse import ArgumentParser
-from typing import NoReturn
 
 from nerfgrasp import registry
+from nerfgrasp.commands.arguments import Arguments
 from nerfgrasp.errors import UserError
 from nerfgrasp.registry import Entry
 
 
-class _Parser(ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        raise UserError(f"plugins: {message}")
-
-
 def main(args: list[str]) -> int:
     """Runs the command on its arguments and returns its exit status: 2 if a check failed."""
-    parser = _Parser(prog="nerfgrasp plugins", description="List and check what is installed.", allow_abbrev=False)
+    parser = Arguments(prog="nerfgrasp plugins", description="List and check what is installed.", allow_abbrev=False)
     commands = parser.add_subparsers(metavar="COMMAND", required=True, dest="command")
     listing = commands.add_parser("list", help="list every plug-in", description="List every plug-in.")
     listing.add_argument("--check", action="store_true", help="import each and run its conformance checks")

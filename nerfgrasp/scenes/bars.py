@@ -20,6 +20,10 @@ MIN_OVERLAP = 0.008
 """Metres of face under each pad, at least."""
 VERTEX_OFFSET = 0.004
 """Metres that a vertex may be off the pads' middle."""
+PAD_GRIP = 0.008
+"""Metres that an object's top reaches above the tool centre point, if the table allows."""
+TABLE_CLEARANCE = 0.0025
+"""Metres between the fingertips and the table."""
 
 
 @dataclass(frozen=True)
@@ -36,17 +40,60 @@ class Bar:
     """Whether every horizontal closing axis will do."""
 
 
+@dataclass(frozen=True)
+class Face:
+    """Two parallel sides of a footprint with material between them and nothing else in line."""
+
+    start: tuple[float, float]
+    """Metres: one end of the line halfway between the two."""
+    end: tuple[float, float]
+    """Metres: the other."""
+    closing: tuple[float, float]
+    """Unit: across the sides."""
+    width: float
+    """Metres between the sides."""
+
+
+def faces(prism: Prism, fingers: Fingers = ROBOTIQ_2F85.fingers) -> list[Face]:
+    """Returns the pairs of parallel sides that fit between `fingers`, of a footprint made of upright rectangles.
+
+    Whether the fingers meet something else there is not looked at: it depends on where they come from.
+    """
+    boxes = _boxes(prism)
+    along_x, along_y = _rectilinear_faces(boxes, fingers), _rectilinear_faces(boxes[:, [1, 0, 3, 2]], fingers)
+    return along_x + [Face(face.start[::-1], face.end[::-1], face.closing[::-1], face.width) for face in along_y]
+
+
 def bars(prism: Prism, fingers: Fingers = ROBOTIQ_2F85.fingers) -> list[Bar]:
     """Returns the bars of a prism between whose faces `fingers` fit; for the kinds of `Prism.kind`."""
     if prism.kind == "cylinder":
+        if 2 * float(np.max(np.linalg.norm(prism.parts[0], axis=1))) > fingers.max_width + 1e-6:
+            return []
         return [Bar((0.0, 0.0), (0.0, 0.0), (1.0, 0.0), free_yaw=True)]
     if prism.kind == "triangle":
         return _triangle_bars(prism.parts[0], fingers)
-    boxes = np.array([[*np.min(part, axis=0), *np.max(part, axis=0)] for part in prism.parts])
+    boxes = _boxes(prism)
     along_x = _rectilinear_bars(boxes, fingers)
     along_y = _rectilinear_bars(boxes[:, [1, 0, 3, 2]], fingers)
     swapped = [Bar(bar.start[::-1], bar.end[::-1], bar.closing[::-1]) for bar in along_y]
     return along_x + swapped
+
+
+def _boxes(prism: Prism) -> NDArray[np.float64]:
+    """Returns the parts `[N, 4]` (x0, y0, x1, y1) of a footprint made of upright rectangles."""
+    return np.array([[*np.min(part, axis=0), *np.max(part, axis=0)] for part in prism.parts])
+
+
+def _rectilinear_faces(boxes: NDArray[np.float64], fingers: Fingers) -> list[Face]:
+    """Returns the faces of a union of boxes `[N, 4]` (x0, y0, x1, y1) that lie across x."""
+    rows = np.arange(boxes[:, 1].min() + STEP / 2, boxes[:, 3].max(), STEP)
+    stretches = [_stretches(boxes, y) for y in rows]
+    found = []
+    for low, high in sorted({s for row in stretches for s in row if s[1] - s[0] <= fingers.max_width}):
+        middle, face = (low + high) / 2, np.array([(low, high) in row for row in stretches])
+        ends = [(a - STEP / 2, b + STEP / 2) for a, b in _runs(rows, face)]
+        found += [Face((middle, a), (middle, b), (1.0, 0.0), high - low) for a, b in ends]
+    return found
 
 
 def _rectilinear_bars(boxes: NDArray[np.float64], fingers: Fingers) -> list[Bar]:

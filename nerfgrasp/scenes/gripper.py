@@ -69,3 +69,11 @@ class Gripper:
 
 ROBOTIQ_2F85 = Gripper("Robotiq 2F-85")
 """Measurements from its manual. Its mass, 0.925 kg, is shared out between body and fingers."""
+ROBOTIQ_2F140 = Gripper(
+    "Robotiq 2F-140",
+    Fingers(stroke=0.14, max_width=0.125, thickness=0.012, pad_width=0.027, pad_height=0.065, palm=0.082),
+    finger_length=0.12,
+    body=(0.12, 0.075, 0.091),
+    body_mass=0.925,
+)
+"""Measurements from its manual: stroke 140 mm, pad 27 x 65 mm, palm to fingertip 120 mm when open, mass 1.025 kg."""

@@ -91,6 +91,14 @@ def footprint_in_world(prism: Prism) -> list[NDArray[np.float64]]:
     return [np.asarray(part) @ T[:2, :2].T + T[:2, 3] for part in prism.parts]
 
 
+def corners_in_world(prism: Prism) -> NDArray[np.float64]:
+    """Returns the corners `[2K, 3]` of all parts, lower and upper, in the world frame, in any pose."""
+    T = prism.T_world_object.double().numpy()
+    flat = np.concatenate([np.asarray(part) for part in prism.parts])
+    solid = np.concatenate([np.column_stack([flat, np.full(len(flat), z)]) for z in (0.0, prism.height)])
+    return solid @ T[:3, :3].T + T[:3, 3]
+
+
 def clear_gap(a: Sequence[NDArray[np.float64]], b: Sequence[NDArray[np.float64]]) -> float:
     """Returns a gap in metres that separates two footprints for sure; negative where they may overlap.
 

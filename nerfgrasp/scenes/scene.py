@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from nerfgrasp.geometry import Camera
-from nerfgrasp.scenes.prisms import Prism
+from nerfgrasp.scenes.objects import SceneObject
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Truth:
     """The set's seed."""
     index: int
     """The scene's number in the set of that seed."""
-    objects: tuple[Prism, ...]
+    objects: tuple[SceneObject, ...]
     """The objects where they stand."""
     demonstration: Tensor | None = None
     """`T_world_grasp` `[4, 4]` of the demonstrated grasp that lifted an object, if one was asked for."""

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from nerfgrasp.errors import UserError
-from nerfgrasp.scenes.prisms import Prism
+from nerfgrasp.scenes.objects import object_from_json
 from nerfgrasp.scenes.scene import Truth, Workspace
 
 
@@ -51,7 +51,7 @@ def truth_to_json(truth: Truth) -> dict[str, Any]:
         "task": truth.task,
         "seed": truth.seed,
         "index": truth.index,
-        "objects": [prism.to_json() for prism in truth.objects],
+        "objects": [thing.to_json() for thing in truth.objects],
         "demonstration": demonstration,
     }
 
@@ -68,7 +68,7 @@ def truth_from_json(data: Any, where: str) -> Truth:
             task=data["task"],
             seed=data["seed"],
             index=data["index"],
-            objects=tuple(Prism.from_json(prism) for prism in data["objects"]),
+            objects=tuple(object_from_json(thing) for thing in data["objects"]),
             demonstration=None if demonstration is None else torch.tensor(demonstration, dtype=torch.float32),
         )
     except (KeyError, TypeError, ValueError) as error:

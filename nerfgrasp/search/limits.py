@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from nerfgrasp.geometry import make_pose
+from nerfgrasp.scenes.bars import TABLE_CLEARANCE
 from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Gripper
-from nerfgrasp.scenes.oracle import TABLE_CLEARANCE
 from nerfgrasp.scenes.scene import Workspace
 from nerfgrasp.search.schedule import PoseParameterization
 

@@ -6,7 +6,7 @@ import torch
 
 from nerfgrasp import registry
 from nerfgrasp.errors import UserError
-from nerfgrasp.models.folder import load_model
+from nerfgrasp.models.folder import DEFAULT_MODEL, load_model
 from nerfgrasp.models.grasp_value import GraspValue
 from nerfgrasp.models.mvnerf import SceneFeatures
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
@@ -57,12 +57,13 @@ class Psi:
         self.limits, self.feasibility, self.chunk = limits, feasibility, chunk
 
     @classmethod
-    def from_pretrained(cls, folder: str) -> "Psi":
-        """Loads a model folder, or a shipped model by its name.
+    def from_pretrained(cls, folder: str | None = None) -> "Psi":
+        """Loads a model folder, or a shipped model by its name; without either, the default model.
 
         Raises:
             UserError: there is no such model, it is damaged, or it holds no grasp value.
         """
+        folder = DEFAULT_MODEL if folder is None else folder
         model = load_model(folder)
         if not isinstance(model, GraspValue):
             raise UserError(f"model {folder}: a {type(model).__name__} renders scenes but values no grasps")

@@ -2,23 +2,31 @@
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 
-def _import_quietly() -> None:
-    # The line comes from C, past sys.stderr: only the file descriptor silences it.
+@contextmanager
+def silence() -> Iterator[None]:
+    """Silences what C code prints: it goes past `sys.stdout` and `sys.stderr`, so only descriptors can."""
+    sys.stdout.flush()
     sys.stderr.flush()
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    kept, nowhere = [os.dup(1), os.dup(2)], os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
     os.dup2(nowhere, 2)
     try:
-        import pybullet  # noqa: F401
+        yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        for descriptor, copy in zip((1, 2), kept, strict=True):
+            os.dup2(copy, descriptor)
+            os.close(copy)
         os.close(nowhere)
 
 
-_import_quietly()
+with silence():
+    import pybullet as p
 
-import pybullet as p  # noqa: E402  # the module itself, now loaded
+__all__ = ["HULL_MARGIN", "p", "silence"]
 
-__all__ = ["p"]
+HULL_MARGIN = 0.001
+"""Metres by which Bullet inflates convex hulls; hulls are made smaller by as much."""

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Gripper
 
@@ -21,9 +21,10 @@ class Physics:
     """Of objects; PyBullet multiplies the coefficients of the two bodies in touch."""
     pad_friction: float = 0.7
     """Of the gripper's pads."""
-    pad_stiffness: float = 30000.0
+    pad_stiffness: float = 60000.0
     """N/m, of each point of contact with a pad. Rigid pads bear all their load in one corner, where it withstands
-    no torque, and objects held off their centre swing down; rubber spreads it."""
+    no torque, and objects held off their centre swing down; rubber spreads it. Half as much would let a pad that
+    presses on an edge in a single point sink in by more than 1 mm."""
     pad_damping: float = 1000.0
     """N s/m, likewise."""
     pad_anchor: bool = True
@@ -57,7 +58,13 @@ class Physics:
     lift_speed: float = 0.2
     """Of the hand on its way up."""
     hold_time: float = 1.0
-    """After the lift, before the outcome is judged."""
+    """After the lift, before the outcome is judged (or the shake begins)."""
+    shake_distance: float = 0.0
+    """Of a to-and-fro along each axis of the world after the hold: a stricter test, left out where zero."""
+    shake_frequency: float = 3.0
+    """Of the shake, a second."""
+    shake_periods: int = 2
+    """Along each axis."""
     success_height: float = 0.05
     """By which the object's centre of mass must have risen."""
     rest_speed: float = 0.01
@@ -70,6 +77,8 @@ class Physics:
 
 PHYSICS = Physics()
 """The values of every reported result."""
+SHAKEN = replace(PHYSICS, shake_distance=0.05)
+"""The stricter test: accelerations of up to 8.9 m/s² along each axis before the outcome is judged."""
 
 
 def physics_hash(physics: Physics = PHYSICS, gripper: Gripper = ROBOTIQ_2F85) -> str:

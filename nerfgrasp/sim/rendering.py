@@ -1,12 +1,16 @@
 """Pictures of simulated scenes by PyBullet's TinyRenderer, which needs no GPU and no display."""
 
 from dataclasses import dataclass
+from typing import Literal, overload
 
 import numpy as np
+import roma
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nerfgrasp.geometry import Camera
+from nerfgrasp.geometry import Camera, pixel_centres, pixel_rays
+from nerfgrasp.scenes.meshes import MeshObject
+from nerfgrasp.scenes.objects import SceneObject
 from nerfgrasp.scenes.prisms import Polygon, Prism
 from nerfgrasp.scenes.scene import Truth
 from nerfgrasp.sim.bullet import p
@@ -51,26 +55,61 @@ def scene_lighting(seed: int, index: int) -> Lighting:
     )
 
 
-def render_scene(truth: Truth, camera: Camera) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+Picture = NDArray[np.uint8]
+
+
+@overload
+def render_scene(truth: Truth, camera: Camera, *, depth: Literal[False] = False) -> tuple[Picture, Picture]: ...
+
+
+@overload
+def render_scene(
+    truth: Truth, camera: Camera, *, depth: Literal[True]
+) -> tuple[Picture, Picture, NDArray[np.float32]]: ...
+
+
+def render_scene(
+    truth: Truth, camera: Camera, *, depth: bool = False
+) -> tuple[Picture, Picture] | tuple[Picture, Picture, NDArray[np.float32]]:
     """Renders a scene from every camera.
 
     Args:
         truth: the scene.
         camera: batch shape `[V]`.
+        depth: whether to return depth as well.
 
     Returns:
-        RGB `[V, H, W, 3]` and the objects' mask `[V, H, W]`: 0 where there is none, else i + 1 for
-        `truth.objects[i]`.
+        RGB `[V, H, W, 3]`, the objects' mask `[V, H, W]`: 0 where there is none, else i + 1 for
+        `truth.objects[i]`; and, if asked for, depth `[V, H, W]`: metres along the optical axis to the object or
+        the table, infinite where a ray meets neither.
+
+    Raises:
+        UserError: the files of a mesh object are not here.
     """
     client = p.connect(p.DIRECT)
     try:
         lighting = scene_lighting(truth.seed, truth.index)
-        for prism in truth.objects:
-            _add_prism(client, prism)
+        for thing in truth.objects:
+            _add_object(client, thing)
         views = [_render_view(client, lighting, camera[view]) for view in range(len(camera))]
     finally:
         p.disconnect(client)
-    return np.stack([rgb for rgb, _ in views]), np.stack([mask for _, mask in views])
+    images, masks = np.stack([rgb for rgb, _, _ in views]), np.stack([mask for _, mask, _ in views])
+    if not depth:
+        return images, masks
+    behind = np.stack([table_depth(camera[view]) for view in range(len(camera))])
+    return images, masks, np.where(masks > 0, np.stack([metres for _, _, metres in views]), behind)
+
+
+def table_depth(camera: Camera) -> NDArray[np.float32]:
+    """Returns metres `[H, W]` along the optical axis to the plane z = 0; infinite for rays that miss it."""
+    _, directions = pixel_rays(camera, pixel_centres(camera.width, camera.height).reshape(-1, 2))
+    T_world_camera = camera.T_world_camera.double().numpy()
+    rays = directions.double().numpy()
+    along, down = rays @ T_world_camera[:3, 2], -rays[:, 2]
+    height = T_world_camera[2, 3]
+    metres = np.where(down > 0, height * along / np.maximum(down, 1e-12), np.inf)
+    return metres.reshape(camera.height, camera.width).astype(np.float32)
 
 
 def projection_matrix(intrinsics: Tensor, width: int, height: int) -> list[float]:
@@ -100,21 +139,48 @@ def prism_mesh(prism: Prism) -> tuple[NDArray[np.float64], NDArray[np.float64], 
 def _part_mesh(part: Polygon, height: float) -> tuple[NDArray[np.float64], NDArray[np.float64], list[int]]:
     corners = np.asarray(part)
     count = len(corners)
-    top = np.column_stack([corners, np.full(count, height)])
-    vertices, normals = [top], [np.tile([0.0, 0.0, 1.0], (count, 1))]
-    indices = [i for k in range(1, count - 1) for i in (0, k, k + 1)]
+    vertices = [np.column_stack([corners, np.full(count, z)]) for z in (height, 0.0)]
+    normals = [np.tile([0.0, 0.0, up], (count, 1)) for up in (1.0, -1.0)]
+    fan = [(0, k, k + 1) for k in range(1, count - 1)]
+    indices = [i for a, b, c in fan for i in (a, b, c)] + [count + i for a, b, c in fan for i in (a, c, b)]
     for k in range(count):
         a, b = corners[k], corners[(k + 1) % count]
         vertices.append(np.array([[*a, 0.0], [*b, 0.0], [*b, height], [*a, height]]))
         outward = np.array([b[1] - a[1], a[0] - b[0], 0.0])
         normals.append(np.tile(outward / np.linalg.norm(outward), (4, 1)))
-        first = count + 4 * k
+        first = 2 * count + 4 * k
         indices += [first, first + 1, first + 2, first, first + 2, first + 3]
     return np.concatenate(vertices), np.concatenate(normals), indices
 
 
+def _add_object(client: int, thing: SceneObject) -> None:
+    """Adds an object; bodies are numbered from 0 in the order in which they are added."""
+    if isinstance(thing, MeshObject):
+        _add_mesh(client, thing)
+    else:
+        _add_prism(client, thing)
+
+
+def _add_mesh(client: int, thing: MeshObject) -> None:
+    from nerfgrasp.sim.library import model_of  # reads meshes: only where there are any
+
+    shape = p.createVisualShape(
+        p.GEOM_MESH,
+        fileName=str(model_of(thing).visual),
+        rgbaColor=[1.0, 1.0, 1.0, 1.0],
+        specularColor=[0.0, 0.0, 0.0],
+        physicsClientId=client,
+    )
+    p.createMultiBody(
+        baseVisualShapeIndex=shape,
+        basePosition=thing.T_world_object[:3, 3].tolist(),
+        baseOrientation=roma.rotmat_to_unitquat(thing.T_world_object[:3, :3].double()).tolist(),
+        physicsClientId=client,
+    )
+
+
 def _add_prism(client: int, prism: Prism) -> None:
-    """Adds the mesh already moved to the world; bodies are numbered from 0 in the order in which they are added."""
+    """Adds the mesh already moved to the world."""
     vertices, normals, indices = prism_mesh(prism)
     T = prism.T_world_object.double().numpy()
     shape = p.createVisualShape(
@@ -129,8 +195,9 @@ def _add_prism(client: int, prism: Prism) -> None:
     p.createMultiBody(baseVisualShapeIndex=shape, physicsClientId=client)
 
 
-def _render_view(client: int, lighting: Lighting, camera: Camera) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    _, _, rgba, _, segmentation = p.getCameraImage(
+def _render_view(client: int, lighting: Lighting, camera: Camera) -> tuple[Picture, Picture, NDArray[np.float32]]:
+    """Returns RGB, mask and depth, the last of which holds for objects alone."""
+    _, _, rgba, buffer, segmentation = p.getCameraImage(
         camera.width,
         camera.height,
         viewMatrix=view_matrix(camera.T_world_camera),
@@ -147,4 +214,6 @@ def _render_view(client: int, lighting: Lighting, camera: Camera) -> tuple[NDArr
     shape = (camera.height, camera.width)
     rgb = np.asarray(rgba, dtype=np.uint8).reshape(*shape, 4)[..., :3]
     mask = (np.asarray(segmentation, dtype=np.int64).reshape(shape) + 1).clip(min=0).astype(np.uint8)
-    return np.where(mask[..., None] == 0, lighting.table_in_pictures(), rgb), mask
+    closeness = np.asarray(buffer, dtype=np.float64).reshape(shape)
+    metres = FAR * NEAR / (FAR - (FAR - NEAR) * closeness)
+    return np.where(mask[..., None] == 0, lighting.table_in_pictures(), rgb), mask, metres.astype(np.float32)

@@ -10,12 +10,12 @@ import torch
 from numpy.typing import NDArray
 
 from nerfgrasp.scenes.gripper import Gripper
-from nerfgrasp.scenes.prisms import Prism, mass_properties
-from nerfgrasp.sim.bullet import p
+from nerfgrasp.scenes.meshes import MeshObject
+from nerfgrasp.scenes.objects import SceneObject
+from nerfgrasp.scenes.prisms import MassProperties, Prism, mass_properties
+from nerfgrasp.sim.bullet import HULL_MARGIN, p
 from nerfgrasp.sim.physics import Physics
 
-HULL_MARGIN = 0.001
-"""Metres by which Bullet inflates convex hulls; hulls are made smaller by as much."""
 FINGERS = (0, 1)
 """The gripper's links."""
 
@@ -29,7 +29,7 @@ class World:
     It is built anew for every attempt: a restored state is not exactly the saved one, a rebuilt one is.
     """
 
-    def __init__(self, objects: Sequence[Prism], physics: Physics) -> None:
+    def __init__(self, objects: Sequence[SceneObject], physics: Physics) -> None:
         self.physics = physics
         self.client = p.connect(p.DIRECT)
         p.setPhysicsEngineParameter(
@@ -40,7 +40,9 @@ class World:
         )
         p.setGravity(0.0, 0.0, -physics.gravity, physicsClientId=self.client)
         self.table = self._add_table()
-        self.objects = [self._add_object(prism) for prism in objects]
+        self.objects: list[int] = []
+        for thing in objects:
+            self.add(thing)
 
     def __enter__(self) -> "World":
         return self
@@ -49,6 +51,14 @@ class World:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         p.disconnect(self.client)
+
+    def add(self, thing: SceneObject) -> None:
+        """Puts one more object where its pose says."""
+        self.objects.append(self._add_object(thing))
+
+    def remove(self, number: int) -> None:
+        """Takes an object off the world; those after it move up by one number."""
+        p.removeBody(self.objects.pop(number), physicsClientId=self.client)
 
     def step(self, count: int = 1) -> None:
         """Simulates `count` steps."""
@@ -66,6 +76,10 @@ class World:
             if all(self._speed(body) <= self.physics.rest_speed for body in self.objects):
                 return
 
+    def poses(self) -> NDArray[np.float64]:
+        """Returns `T_world_object` `[N, 4, 4]` of the objects."""
+        return np.array([self._pose(body) for body in self.objects]).reshape(-1, 4, 4)
+
     def centres(self) -> NDArray[np.float64]:
         """Returns the objects' centres of mass `[N, 3]` in the world."""
         poses = [p.getBasePositionAndOrientation(body, physicsClientId=self.client) for body in self.objects]
@@ -77,6 +91,11 @@ class World:
         contacts = p.getContactPoints(bodyA=a, bodyB=b, physicsClientId=self.client, **where)
         return float(sum(contact[9] for contact in contacts))
 
+    def _pose(self, body: int) -> Pose:
+        T_world_centre = _matrix(*p.getBasePositionAndOrientation(body, physicsClientId=self.client))
+        T_object_centre = _matrix(*p.getDynamicsInfo(body, -1, physicsClientId=self.client)[3:5])
+        return T_world_centre @ np.linalg.inv(T_object_centre)
+
     def _speed(self, body: int) -> float:
         linear, _ = p.getBaseVelocity(body, physicsClientId=self.client)
         return float(np.linalg.norm(linear))
@@ -87,15 +106,15 @@ class World:
         p.changeDynamics(body, -1, lateralFriction=self.physics.table_friction, physicsClientId=self.client)
         return body
 
-    def _add_object(self, prism: Prism) -> int:
+    def _add_object(self, thing: SceneObject) -> int:
         """Adds a body whose mass, centre of mass and inertia are those of the solid, not of its hull."""
-        solid = mass_properties(prism)
+        solid = _solid(thing)
         moments, axes = np.linalg.eigh(solid.inertia)
         axes = axes * np.sign(np.linalg.det(axes))
-        pose = prism.T_world_object.double().numpy()
+        pose = thing.T_world_object.double().numpy()
         body: int = p.createMultiBody(
             baseMass=solid.mass,
-            baseCollisionShapeIndex=self._object_shape(prism),
+            baseCollisionShapeIndex=self._object_shape(thing),
             basePosition=pose[:3, 3].tolist(),
             baseOrientation=_quaternion(pose[:3, :3]),
             baseInertialFramePosition=solid.centre.tolist(),
@@ -114,17 +133,19 @@ class World:
         )
         return body
 
-    def _object_shape(self, prism: Prism) -> int:
-        if prism.kind in ("cylinder", "triangle"):
+    def _object_shape(self, thing: SceneObject) -> int:
+        if isinstance(thing, MeshObject):
+            return _mesh_shape(self.client, thing)
+        if thing.kind in ("cylinder", "triangle"):
             shape: int = p.createCollisionShape(
-                p.GEOM_MESH, vertices=_inset_hull(prism).tolist(), physicsClientId=self.client
+                p.GEOM_MESH, vertices=_inset_hull(thing).tolist(), physicsClientId=self.client
             )
             return shape
-        corners = [np.asarray(part) for part in prism.parts]
+        corners = [np.asarray(part) for part in thing.parts]
         return _box_compound(
             self.client,
-            [(*(c.min(axis=0) + c.max(axis=0)) / 2, prism.height / 2) for c in corners],
-            [(*(c.max(axis=0) - c.min(axis=0)) / 2, prism.height / 2) for c in corners],
+            [(*(c.min(axis=0) + c.max(axis=0)) / 2, thing.height / 2) for c in corners],
+            [(*(c.max(axis=0) - c.min(axis=0)) / 2, thing.height / 2) for c in corners],
         )
 
 
@@ -134,7 +155,8 @@ class Hand:
     def __init__(self, world: World, gripper: Gripper, T_world_grasp: Pose) -> None:
         self.world, self.client = world, world.client
         self._grasp_in_body = gripper.body[2] / 2 - gripper.palm
-        position, orientation = self._body_pose(T_world_grasp)
+        self._approach, self._orientation = T_world_grasp[:3, 2], _quaternion(T_world_grasp[:3, :3])
+        position, orientation = self._body_position(T_world_grasp[:3, 3]), self._orientation
         self.body = self._add_body(gripper, position, orientation)
         physics = world.physics
         self._hold = p.createConstraint(
@@ -142,22 +164,21 @@ class Hand:
             childFrameOrientation=orientation, physicsClientId=self.client,
         )  # fmt: skip
         p.changeConstraint(self._hold, maxForce=physics.hand_force, physicsClientId=self.client)
-        gear = p.createConstraint(
+        self._gear = p.createConstraint(
             self.body, 0, self.body, 1, p.JOINT_GEAR, [1, 0, 0], [0, 0, 0], [0, 0, 0], physicsClientId=self.client
         )
         p.changeConstraint(
-            gear, gearRatio=-1, erp=physics.gear_erp, maxForce=physics.gear_force, physicsClientId=self.client
+            self._gear, gearRatio=-1, erp=physics.gear_erp, maxForce=physics.gear_force, physicsClientId=self.client
         )
         for link in FINGERS:
             self._drive(link, p.POSITION_CONTROL, targetPosition=0.0, force=physics.hand_force)
 
-    def move_to(self, T_world_grasp: Pose) -> None:
-        """Sets where the hand is pulled."""
-        position, orientation = self._body_pose(T_world_grasp)
+    def move_to(self, position: NDArray[np.float64]) -> None:
+        """Sets where the tool centre point `[3]` is pulled; the hand keeps its orientation."""
         p.changeConstraint(
             self._hold,
-            jointChildPivot=position,
-            jointChildFrameOrientation=orientation,
+            jointChildPivot=self._body_position(position),
+            jointChildFrameOrientation=self._orientation,
             maxForce=self.world.physics.hand_force,
             physicsClientId=self.client,
         )
@@ -168,6 +189,19 @@ class Hand:
         for link in FINGERS:
             self._drive(link, p.VELOCITY_CONTROL, targetVelocity=physics.finger_speed, force=physics.closing_force)
 
+    def remove(self) -> None:
+        """Takes the hand out of the world, as if it had been opened and withdrawn without touching a thing."""
+        for constraint in (self._hold, self._gear):
+            p.removeConstraint(constraint, physicsClientId=self.client)
+        p.removeBody(self.body, physicsClientId=self.client)
+
+    def state(self) -> tuple[Pose, tuple[float, float]]:
+        """Returns `T_world_grasp` `[4, 4]` where the hand is, and metres by which either finger has closed."""
+        T = _matrix(*p.getBasePositionAndOrientation(self.body, physicsClientId=self.client))
+        T[:3, 3] += self._grasp_in_body * T[:3, 2]
+        left, right = (p.getJointState(self.body, link, physicsClientId=self.client)[0] for link in FINGERS)
+        return T, (left, right)
+
     def held(self) -> list[int]:
         """Returns the numbers of the objects that both fingers touch."""
         touch = self.world.touch
@@ -177,9 +211,9 @@ class Hand:
     def _drive(self, link: int, mode: int, **target: float) -> None:
         p.setJointMotorControl2(self.body, link, mode, physicsClientId=self.client, **target)
 
-    def _body_pose(self, T_world_grasp: Pose) -> tuple[list[float], list[float]]:
-        position = T_world_grasp[:3, 3] - self._grasp_in_body * T_world_grasp[:3, 2]
-        return position.tolist(), _quaternion(T_world_grasp[:3, :3])
+    def _body_position(self, position: NDArray[np.float64]) -> list[float]:
+        body: list[float] = (position - self._grasp_in_body * self._approach).tolist()
+        return body
 
     def _add_body(self, gripper: Gripper, position: list[float], orientation: list[float]) -> int:
         fingers, client = gripper.fingers, self.client
@@ -218,10 +252,32 @@ class Hand:
         return body
 
 
+def _solid(thing: SceneObject) -> MassProperties:
+    if isinstance(thing, MeshObject):
+        return MassProperties(thing.mass, np.array(thing.centre), np.array(thing.inertia))
+    return mass_properties(thing)
+
+
+def _mesh_shape(client: int, thing: MeshObject) -> int:
+    from nerfgrasp.sim.library import model_of  # reads meshes: only where there are any
+
+    # Every `o` of the file becomes a convex hull of its own.
+    shape: int = p.createCollisionShape(p.GEOM_MESH, fileName=str(model_of(thing).collision), physicsClientId=client)
+    return shape
+
+
 def _quaternion(rotation: NDArray[np.float64]) -> list[float]:
     """Returns the quaternion xyzw of a rotation `[3, 3]`."""
     quaternion: list[float] = roma.rotmat_to_unitquat(torch.from_numpy(rotation.copy())).tolist()
     return quaternion
+
+
+def _matrix(position: Sequence[float], orientation: Sequence[float]) -> Pose:
+    """Returns the pose of a position and a quaternion xyzw."""
+    T = np.eye(4)
+    T[:3, :3] = roma.unitquat_to_rotmat(torch.tensor(orientation, dtype=torch.float64)).numpy()
+    T[:3, 3] = position
+    return T
 
 
 def _finger(client: int, gripper: Gripper, side: float) -> int:

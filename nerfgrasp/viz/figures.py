@@ -3,16 +3,15 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 from torch import Tensor
 
 from nerfgrasp.geometry import Camera
 from nerfgrasp.scenes.scene import Grasps, Observations
+from nerfgrasp.viz.contact_sheet import CAPTION, FAINT, INK, MARGIN, PAPER, captioned, font, stack
 from nerfgrasp.viz.gripper import draw_gripper
 
 PANEL_WIDTH = 384
-MARGIN, CAPTION = 12, 26
-_PAPER, _INK, _FAINT = (255, 255, 255), (28, 28, 32), (110, 110, 118)
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ def picture(
     rows = [[_render_panel(panel, best) for panel in row] for row in (views, imagined) if row]
     if facts:
         (rows[-1] if imagined else rows[0]).append(_render_facts(facts, rows[0][0].height))
-    return _stack(rows)
+    return stack(rows)
 
 
 def to_image(rgb: Tensor) -> Image.Image:
@@ -56,32 +55,13 @@ def _render_panel(panel: Panel, T_world_grasp: Tensor) -> Image.Image:
     height = round(PANEL_WIDTH * panel.camera.height / panel.camera.width)
     enlarged = to_image(panel.image).resize((PANEL_WIDTH, height), Image.Resampling.BICUBIC)
     drawn = draw_gripper(enlarged, panel.camera.to("cpu"), T_world_grasp)
-    canvas = Image.new("RGB", (PANEL_WIDTH, height + CAPTION), _PAPER)
-    canvas.paste(drawn, (0, CAPTION))
-    ImageDraw.Draw(canvas).text((0, CAPTION - 6), panel.title, fill=_FAINT, font=_font(15), anchor="ls")
-    return canvas
+    return captioned(drawn, panel.title)
 
 
 def _render_facts(facts: Sequence[str], height: int) -> Image.Image:
-    canvas = Image.new("RGB", (PANEL_WIDTH, height), _PAPER)
+    canvas = Image.new("RGB", (PANEL_WIDTH, height), PAPER)
     draw = ImageDraw.Draw(canvas)
-    draw.text((MARGIN, CAPTION + 24), facts[0], fill=_INK, font=_font(24), anchor="ls")
+    draw.text((MARGIN, CAPTION + 24), facts[0], fill=INK, font=font(24), anchor="ls")
     for line, fact in enumerate(facts[1:]):
-        draw.text((MARGIN, CAPTION + 60 + 26 * line), fact, fill=_FAINT, font=_font(17), anchor="ls")
+        draw.text((MARGIN, CAPTION + 60 + 26 * line), fact, fill=FAINT, font=font(17), anchor="ls")
     return canvas
-
-
-def _stack(rows: Sequence[Sequence[Image.Image]]) -> Image.Image:
-    width = max(len(row) for row in rows) * (PANEL_WIDTH + MARGIN) + MARGIN
-    heights = [max(image.height for image in row) for row in rows]
-    canvas = Image.new("RGB", (width, sum(heights) + MARGIN * len(rows)), _PAPER)
-    top = 0
-    for row, height in zip(rows, heights, strict=True):
-        for column, image in enumerate(row):
-            canvas.paste(image, (MARGIN + column * (PANEL_WIDTH + MARGIN), top))
-        top += height + MARGIN
-    return canvas
-
-
-def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    return ImageFont.load_default(size=size)

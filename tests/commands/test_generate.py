@@ -3,6 +3,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from nerfgrasp.commands.generate import generate
 from nerfgrasp.data.packed import PackedScenes, PackedWriter
 from nerfgrasp.errors import UserError
 from nerfgrasp.scenes.folder import read_scene
+from nerfgrasp.sim.tasks import Task
 
 pytest.importorskip("pybullet")
 
@@ -97,6 +99,34 @@ def test_the_number_of_workers_changes_nothing(unbroken: Path, tmp_path: Path) -
     assert contents(tmp_path / "set") == contents(unbroken)
 
 
+def test_a_cluster_started_for_it_changes_nothing(unbroken: Path, tmp_path: Path) -> None:
+    ray = pytest.importorskip("ray", reason="Ray comes with the extra `cluster`")
+    generate(**SMALL, out=tmp_path / "set", workers=2, cluster="ray")
+    assert contents(tmp_path / "set") == contents(unbroken)
+    assert not ray.is_initialized(), "what was started for the set is stopped"
+
+
+def test_clutter_depends_on_physics_even_without_demonstrations(tmp_path: Path) -> None:
+    generate("clutter", **{**SMALL, "scenes": 1}, out=tmp_path / "set", workers=1)
+    scenes = PackedScenes(tmp_path / "set")
+    assert scenes.settings.physics
+    assert len(scenes.truth(0).objects) == 5
+
+
+def test_novel_objects_name_their_library(
+    tmp_path: Path, make_box: Callable[..., Path], object_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_box(tmp_path / "things")
+    few: dict[str, Any] = {**SMALL, "scenes": 1, "out": tmp_path / "set", "workers": 1}
+    generate("novel", **few, objects=tmp_path / "things")
+    assert PackedScenes(tmp_path / "set").settings.library
+    monkeypatch.setenv("NERFGRASP_OBJECTS", str(tmp_path / "things"))
+    generate("novel", **few)
+    make_box(tmp_path / "others", size=(0.05, 0.05, 0.05))
+    with pytest.raises(UserError, match="holds another set .*library"):
+        generate("novel", **few, objects=tmp_path / "others")
+
+
 def test_demonstrations_change_no_image(unbroken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     # A scene does not depend on how many there are either.
     generate(**{**SMALL, "scenes": 2, "demonstrations": True}, out=tmp_path / "set", workers=1)
@@ -166,7 +196,7 @@ def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
 
 
 def test_an_error_in_a_worker_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def failing(writer: PackedWriter, index: int) -> None:
+    def failing(writer: PackedWriter, task: Task, index: int) -> None:
         raise ZeroDivisionError(f"in scene {index}")
 
     monkeypatch.setattr(command, "write_slot", failing)
@@ -177,13 +207,13 @@ def test_an_error_in_a_worker_is_seen(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_a_lost_worker_is_replaced(unbroken: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_slot, mark = command.write_slot, tmp_path / "died"
 
-    def dying_once(writer: PackedWriter, index: int) -> None:
+    def dying_once(writer: PackedWriter, task: Task, index: int) -> None:
         import os
 
         if index == 3 and not mark.exists():
             mark.touch()
             os.kill(os.getpid(), 9)
-        write_slot(writer, index)
+        write_slot(writer, task, index)
 
     monkeypatch.setattr(command, "write_slot", dying_once)
     generate(**SMALL, out=tmp_path / "set", workers=2)
@@ -195,7 +225,7 @@ def test_workers_that_keep_dying_are_told(tmp_path: Path, monkeypatch: pytest.Mo
     deaths = tmp_path / "deaths"
     deaths.mkdir()
 
-    def dying(writer: PackedWriter, index: int) -> None:
+    def dying(writer: PackedWriter, task: Task, index: int) -> None:
         import os
 
         (deaths / str(os.getpid())).touch()

@@ -3,7 +3,8 @@ import torch
 
 from nerfgrasp.geometry import Camera
 from nerfgrasp.scenes.scene import Grasps, Observations
-from nerfgrasp.viz.figures import CAPTION, MARGIN, PANEL_WIDTH, Panel, picture, to_image
+from nerfgrasp.viz.contact_sheet import CAPTION, MARGIN
+from nerfgrasp.viz.figures import PANEL_WIDTH, Panel, picture, to_image
 
 WIDTH, HEIGHT = 3 * (PANEL_WIDTH + MARGIN) + MARGIN, PANEL_WIDTH * 48 // 64 + CAPTION
 

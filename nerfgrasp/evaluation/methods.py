@@ -1,0 +1,79 @@
+"""The methods that are evaluated: found by a registered name, or by the model folder that names one."""
+
+from functools import lru_cache
+from inspect import Parameter, signature
+from pathlib import Path
+from typing import ClassVar, Protocol
+
+import torch
+from torch import nn
+
+from nerfgrasp import registry
+from nerfgrasp.allocator import keep_freed_memory
+from nerfgrasp.errors import UserError, unknown_name
+from nerfgrasp.files import read_json
+from nerfgrasp.models.folder import find_model, weights_hash
+from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
+
+
+class Method(Protocol):
+    """What the group `nerfgrasp.baselines` holds."""
+
+    needs: ClassVar[frozenset[str]]
+    """Out of `depth` and `truth`: what it is given beside RGB images."""
+
+    def propose(
+        self, observations: Observations, workspace: Workspace, *, generator: torch.Generator, count: int = 1
+    ) -> Grasps:
+        """Returns up to `count` grasps, best first."""
+
+
+def find_method(name: str) -> tuple[str, str | None]:
+    """Returns the registered name of a method and the model folder that it is to be loaded from.
+
+    Args:
+        name: a registered name (no folder: the method's own default), a model's folder, a shipped model's name, or a
+            Hugging Face repository id.
+
+    Raises:
+        UserError: it is none of them, or the model's `config.json` names no method that is registered.
+    """
+    if name in registry.names(registry.BASELINES):
+        return registry.find(registry.BASELINES, name).name, None
+    try:
+        folder = find_model(name)
+    except UserError as error:
+        if Path(name).name != name:
+            raise
+        raise unknown_name("method (and no model)", name, registry.names(registry.BASELINES)) from error
+    method = read_json(folder / "config.json").get("method")
+    if not isinstance(method, str):
+        raise UserError(f"model {name}: its config.json names no grasping method, so it finds no grasps")
+    return registry.find(registry.BASELINES, method).name, str(folder)
+
+
+@lru_cache(maxsize=1)
+def load_method(name: str, folder: str | None) -> Method:
+    """Returns a method, loaded once a process.
+
+    Args:
+        name: as registered.
+        folder: to load it from; None for its default.
+
+    Raises:
+        UserError: it cannot be loaded, or it has no default.
+    """
+    loader = registry.load(registry.BASELINES, name).from_pretrained
+    parameter = next(iter(signature(loader).parameters.values()))
+    if folder is None and parameter.default is Parameter.empty:
+        raise UserError(f"method {name!r} needs a model: give the model's folder instead of the method's name")
+    method: Method = loader() if folder is None else loader(folder)
+    if isinstance(getattr(method, "model", None), nn.Module):
+        keep_freed_memory()
+    return method
+
+
+def method_hash(method: Method) -> str | None:
+    """Returns 16 hexadecimal digits of the SHA-256 of a method's weights, its `model`'s; None if it has none."""
+    model = getattr(method, "model", None)
+    return weights_hash(model)[:16] if isinstance(model, nn.Module) else None

@@ -1,0 +1,96 @@
+"""Finished scenes of an evaluation that still runs: a file each, so that a killed run loses and doubles nothing."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from nerfgrasp.errors import UserError
+from nerfgrasp.evaluation.results import (
+    FORMAT_VERSION,
+    Row,
+    Times,
+    row_from_json,
+    times_from_json,
+    times_path,
+    write_results,
+    write_times,
+)
+from nerfgrasp.files import make_folder, read_json, remove, remove_temporaries, write_json
+
+SETTINGS_FILE = "settings.json"
+
+
+class Parts:
+    """The folder `OUT.parts` beside a results file to be.
+
+    Args:
+        out: the results file.
+        settings: JSON data that says what the results depend on; a folder of others is refused.
+    """
+
+    def __init__(self, out: Path, settings: dict[str, Any]) -> None:
+        self.out, self.settings = out, settings
+        self.folder = out.with_name(f"{out.name}.parts")
+
+    def claim(self) -> None:
+        """Makes the folder, or takes up what a killed run left there.
+
+        Raises:
+            UserError: it belongs to another command, or cannot be written.
+        """
+        make_folder(self.folder)
+        remove_temporaries(self.folder)
+        for left in self.out.parent.glob(f".{self.out.stem}*.tmp"):
+            remove(left)
+        path = self.folder / SETTINGS_FILE
+        if not path.exists():
+            write_json(path, self.settings)
+        self._check(read_json(path))
+
+    def discard(self) -> None:
+        """Removes what a run left that was killed after it had published; another command's folder stays."""
+        if (self.folder / SETTINGS_FILE).exists() and read_json(self.folder / SETTINGS_FILE) == self.settings:
+            remove(self.folder)
+
+    def missing(self, scenes: int) -> list[int]:
+        """Returns the numbers of the scenes that are not finished, of the first `scenes`."""
+        return [scene for scene in range(scenes) if not self._path(scene).exists()]
+
+    def write(self, scene: int, attempts: Sequence[tuple[Row, Times]]) -> None:
+        """Keeps a finished scene."""
+        rows = [{"format": FORMAT_VERSION, **asdict(row)} for row, _ in attempts]
+        write_json(self._path(scene), {"rows": rows, "times": [asdict(times) for _, times in attempts]})
+
+    def read(self, scene: int) -> tuple[list[Row], list[Times]]:
+        """Returns what was kept of a scene; a damaged file is a UserError."""
+        data = read_json(self._path(scene))
+        try:
+            return [row_from_json(row) for row in data["rows"]], [times_from_json(times) for times in data["times"]]
+        except (KeyError, TypeError, ValueError) as error:
+            raise UserError(f"{self._path(scene)} is damaged ({error}): remove it") from error
+
+    def publish(self, scenes: int) -> list[Row]:
+        """Writes the results file, in scene order, and the wall times beside it; removes the parts.
+
+        Returns:
+            All its rows.
+        """
+        parts = [self.read(scene) for scene in range(scenes)]
+        rows = [row for part, _ in parts for row in part]
+        write_times(times_path(self.out), (times for _, part in parts for times in part))
+        write_results(self.out, rows)
+        remove(self.folder)
+        return rows
+
+    def _check(self, there: dict[str, Any]) -> None:
+        different = [key for key in {**there, **self.settings} if there.get(key) != self.settings.get(key)]
+        if different:
+            key = different[0]
+            raise UserError(
+                f"{self.folder} was left by another command: its {key} is {there.get(key)!r}, "
+                f"asked for {self.settings.get(key)!r}; repeat that command, or remove the folder"
+            )
+
+    def _path(self, scene: int) -> Path:
+        return self.folder / f"{scene:06d}.json"

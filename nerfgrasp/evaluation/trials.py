@@ -1,0 +1,191 @@
+"""Trying a method in a scene: look, propose, carry out, and again until the attempts or the objects are used up."""
+
+import hashlib
+import json
+import time
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from itertools import pairwise
+from typing import Any
+
+import roma
+import torch
+from torch import Tensor
+
+from nerfgrasp import __version__
+from nerfgrasp.errors import UserError
+from nerfgrasp.evaluation.methods import Method, load_method
+from nerfgrasp.evaluation.results import Row, Times
+from nerfgrasp.geometry import Camera, is_rigid, make_pose
+from nerfgrasp.scenes.objects import object_name
+from nerfgrasp.scenes.oracle import grasp_errors, valid_grasps
+from nerfgrasp.scenes.prisms import Prism
+from nerfgrasp.scenes.scene import Grasps, Observations, Truth
+from nerfgrasp.scenes.truth import truth_to_json
+from nerfgrasp.sim.attempt import Attempt, Outcome, attempt_grasp
+from nerfgrasp.sim.physics import physics_hash
+from nerfgrasp.sim.rendering import render_scene
+from nerfgrasp.sim.tasks import Task, scene_cameras, scene_generator, workspace
+
+VIEWS = 3
+"""Pictures that a method is given."""
+_PROPOSAL_STREAM = 1000
+"""Attempt k of a scene draws from its stream 1000 + k."""
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Everything that the results of an evaluation depend on, but for how many scenes there are."""
+
+    task: Task
+    """What draws the scenes."""
+    seed: int
+    """Of the scene set."""
+    method: str
+    """The registered name."""
+    folder: str | None
+    """The model folder that the method is loaded from; None for its default."""
+    model: str | None
+    """Hash of the method's weights."""
+    size: int = 128
+    """Width and height of a picture in pixels."""
+    library: str | None = None
+    """Hash of the library that the objects come from."""
+
+    @property
+    def set(self) -> str:
+        """What the scenes of the task and the seed are called, e.g. `simple-100` or `novel-ycb-100`."""
+        return "-".join([self.task.name, *([self.task.library] if self.task.library else []), str(self.seed)])
+
+    def settings(self) -> dict[str, Any]:
+        """Returns as JSON data what tells these trials from others; where folders lie does not."""
+        named = {name: getattr(self, name) for name in ("set", "seed", "method", "model", "size", "library")}
+        return {"task": self.task.name, **named, "physics": physics_hash(), "versions": versions()}
+
+
+def versions() -> dict[str, str]:
+    """Returns the versions that results depend on."""
+    return {"nerfgrasp": __version__, "torch": version("torch"), "pybullet": version("pybullet")}
+
+
+def run_scene(trials: Trials, scene: int) -> list[tuple[Row, Times]]:
+    """Returns every attempt of a method in one scene; a pure function of its arguments, but for the times.
+
+    Each attempt looks anew, at what the last one left, and draws from a random stream of its own. After an object
+    was lifted it is gone; the scene ends when the table is empty.
+
+    Raises:
+        UserError: the method cannot be loaded, or proposed what is no pose.
+    """
+    method = load_method(trials.method, trials.folder)
+    truth, attempts = trials.task.draw(trials.seed, scene), []
+    for number in range(trials.task.attempts):
+        if not truth.objects:
+            break
+        row, times, after = _try(trials, method, truth, number)
+        attempts.append((row, times))
+        truth = replace(truth, objects=after.after, demonstration=None)
+    return attempts
+
+
+def first_scene_hash(trials: Trials) -> str:
+    """Returns the hash of the set's first scene, as its first attempt meets it."""
+    truth = trials.task.draw(trials.seed, 0)
+    return scene_hash(truth, scene_cameras(trials.seed, 0, VIEWS, trials.size))
+
+
+def scene_hash(truth: Truth, camera: Camera) -> str:
+    """Returns 16 hexadecimal digits over the objects, where they lie, and the cameras that look at them."""
+    cameras = {
+        "intrinsics": camera.intrinsics.double().tolist(),
+        "T_world_camera": camera.T_world_camera.double().tolist(),
+        "size": [camera.width, camera.height],
+    }
+    text = json.dumps([truth_to_json(replace(truth, demonstration=None)), cameras], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def recorded_pose(grasp: dict[str, list[float]]) -> Tensor:
+    """Returns `T_world_grasp` `[4, 4]`, double, of a row's grasp: exactly what was carried out."""
+    position, quaternion = (torch.tensor(grasp[key], dtype=torch.float64) for key in ("position", "quaternion"))
+    return make_pose(roma.unitquat_to_rotmat(quaternion), position)
+
+
+def _try(trials: Trials, method: Method, truth: Truth, number: int) -> tuple[Row, Times, Attempt]:
+    """Makes one attempt, number `number` of a scene, in the scene as it is now."""
+    camera = scene_cameras(truth.seed, truth.index, VIEWS, trials.size)
+    clock = [time.perf_counter()]
+    observations = _observe(truth, camera, method.needs)
+    clock.append(time.perf_counter())
+    generator = proposal_generator(truth.seed, truth.index, number)
+    grasps = method.propose(observations, workspace, generator=generator, count=1)
+    clock.append(time.perf_counter())
+    grasp, value = _recorded(grasps, f"method {trials.method!r}, scene {truth.index}, attempt {number}")
+    attempt = _carry_out(truth, grasp)
+    clock.append(time.perf_counter())
+    row = Row(
+        set=trials.set,
+        task=trials.task.name,
+        seed=trials.seed,
+        scene=truth.index,
+        attempt=number,
+        method=trials.method,
+        model=trials.model,
+        scene_sha256=scene_hash(truth, camera),
+        physics=physics_hash(),
+        objects=tuple(map(object_name, truth.objects)),
+        grasp=grasp,
+        value=value,
+        outcome=str(attempt.outcome),
+        object=attempt.object,
+        lifted_mm=1000 * attempt.lifted,
+        dropped=attempt.dropped,
+        errors=_errors(truth, grasp),
+        versions=versions(),
+    )
+    return row, Times(truth.index, number, *(after - before for before, after in pairwise(clock))), attempt
+
+
+def proposal_generator(seed: int, index: int, attempt: int) -> torch.Generator:
+    """Returns the generator that a method draws from in one attempt, a function of the three alone."""
+    rng = scene_generator(seed, index, _PROPOSAL_STREAM + attempt)
+    return torch.Generator().manual_seed(int(rng.integers(2**63)))
+
+
+def _observe(truth: Truth, camera: Camera, needs: frozenset[str]) -> Observations:
+    """Renders what a method may see: RGB, and only if it declares so depth or the truth."""
+    depth = None
+    if "depth" in needs:
+        images, _, metres = render_scene(truth, camera, depth=True)
+        depth = torch.from_numpy(metres)
+    else:
+        images, _ = render_scene(truth, camera)
+    colours = (torch.from_numpy(images).movedim(-1, -3) / 255).contiguous()
+    return Observations(colours, camera, depth, truth if "truth" in needs else None)
+
+
+def _recorded(grasps: Grasps, where: str) -> tuple[dict[str, list[float]] | None, float | None]:
+    """Returns the best grasp as results keep it, and its value; None for both if there is none."""
+    if len(grasps) == 0:
+        return None, None
+    T, value = grasps.T_world_grasp[0].detach().cpu().double(), grasps.value[0].detach().cpu().double()
+    if not (T.isfinite().all() and value.isfinite() and is_rigid(T)):
+        raise UserError(f"{where}: it proposed what is no pose, or a value that is no number")
+    quaternion = roma.rotmat_to_unitquat(T[:3, :3])
+    return {"position": T[:3, 3].tolist(), "quaternion": quaternion.tolist()}, float(value)
+
+
+def _carry_out(truth: Truth, grasp: dict[str, list[float]] | None) -> Attempt:
+    if grasp is None:
+        return Attempt(Outcome.NO_GRASP, after=truth.objects, remaining=tuple(range(len(truth.objects))))
+    return attempt_grasp(truth, recorded_pose(grasp))
+
+
+def _errors(truth: Truth, grasp: dict[str, list[float]] | None) -> dict[str, float] | None:
+    """Returns the errors to the nearest valid grasp; None where one of the objects is no prism, or there is none."""
+    prisms = [thing for thing in truth.objects if isinstance(thing, Prism)]
+    valid = valid_grasps(prisms)
+    if grasp is None or len(prisms) < len(truth.objects) or len(valid) == 0:
+        return None
+    distance, angle = grasp_errors(recorded_pose(grasp), valid)
+    return {"distance_mm": 1000 * float(distance), "angle_deg": float(torch.rad2deg(angle))}

@@ -1,0 +1,213 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from nerfgrasp import cli
+from nerfgrasp.errors import UserError
+from nerfgrasp.evaluation.results import read_results, read_times, times_path
+
+pytest.importorskip("pybullet")
+
+from nerfgrasp.commands.evaluate import evaluate
+from nerfgrasp.evaluation.parts import Parts
+from nerfgrasp.evaluation.trials import Trials
+from nerfgrasp.sim.tasks import find_task
+
+SMALL: dict[str, Any] = {"task": "simple", "method": "random", "scenes": 5, "seed": 11, "size": 32}
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results made in one go by one process, to compare others with."""
+    out = tmp_path_factory.mktemp("evaluate") / "results.jsonl"
+    evaluate(**SMALL, out=out, workers=1)
+    return out
+
+
+def start(out: Path, workers: int, before: str = "") -> subprocess.Popen[bytes]:
+    """Makes the small results in a process, and a process group, of its own."""
+    call = f"evaluate(**{SMALL!r}, out=Path({str(out)!r}), workers={workers})"
+    script = f"from pathlib import Path\nfrom nerfgrasp.commands.evaluate import evaluate\n{before}\n{call}"
+    return subprocess.Popen([sys.executable, "-c", script], start_new_session=True)
+
+
+KILLED_WHILE_WRITING = """
+import os, signal
+from nerfgrasp.evaluation import parts
+write_json, written = parts.write_json, []
+def dying(path, data):
+    written.append(path)
+    if len(written) == 4:
+        path.with_name(f".{path.name}.{os.getpid()}.tmp").write_text("half")
+        os.kill(os.getpid(), signal.SIGKILL)
+    write_json(path, data)
+parts.write_json = dying
+"""
+"""The first that is written are the settings."""
+
+KILLED_WHILE_PUBLISHING = """
+import os, signal
+from nerfgrasp.evaluation import parts
+parts.write_results = lambda path, rows: os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_every_attempt_is_a_line_in_scene_order(unbroken: Path) -> None:
+    rows = read_results(unbroken)
+    assert [(row.scene, row.attempt) for row in rows] == [(scene, 0) for scene in range(5)]
+    assert {(row.set, row.method, row.model) for row in rows} == {("simple-11", "random", None)}
+    assert len({row.scene_sha256 for row in rows}) == 5
+    assert all(row.grasp is not None and row.errors is not None for row in rows)
+    times = read_times(times_path(unbroken))
+    assert [(one.scene, one.attempt) for one in times] == [(row.scene, row.attempt) for row in rows]
+    assert min(one.render_s for one in times) > 0
+    assert sorted(path.name for path in unbroken.parent.iterdir()) == ["results.jsonl", "results.times.jsonl"]
+
+
+def test_two_workers_change_no_byte(unbroken: Path, tmp_path: Path) -> None:
+    evaluate(**SMALL, out=tmp_path / "results.jsonl", workers=2)
+    assert (tmp_path / "results.jsonl").read_bytes() == unbroken.read_bytes()
+
+
+@pytest.mark.usefixtures("ray_cluster")
+def test_a_cluster_changes_no_byte(unbroken: Path, tmp_path: Path) -> None:
+    evaluate(**SMALL, out=tmp_path / "results.jsonl", workers=2, cluster="ray")
+    assert (tmp_path / "results.jsonl").read_bytes() == unbroken.read_bytes()
+
+
+@pytest.mark.parametrize(("when", "finished"), [(KILLED_WHILE_WRITING, 2), (KILLED_WHILE_PUBLISHING, 5)])
+def test_killed_and_continued(when: str, finished: int, unbroken: Path, tmp_path: Path) -> None:
+    out = tmp_path / "results.jsonl"
+    assert start(out, 1, when).wait(timeout=300) == -signal.SIGKILL
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "results.jsonl.parts").glob("[0-9]*.json")}
+    assert len(kept) == finished
+    assert not out.exists()
+    evaluate(**SMALL, out=out, workers=1)
+    assert out.read_bytes() == unbroken.read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["results.jsonl", "results.times.jsonl"]
+
+
+def test_two_workers_killed_at_any_time_and_continued(unbroken: Path, tmp_path: Path) -> None:
+    out = tmp_path / "results.jsonl"
+    process = start(out, 2)
+    try:
+        deadline = time.monotonic() + 300
+        while not list(tmp_path.glob("*.parts/0*.json")) and time.monotonic() < deadline:
+            time.sleep(0.005)
+    finally:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    evaluate(**SMALL, out=out, workers=2)
+    assert out.read_bytes() == unbroken.read_bytes()
+
+
+def test_fewer_scenes_are_the_first_of_more(unbroken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    evaluate(**{**SMALL, "scenes": 2}, out=tmp_path / "new" / "results.jsonl", workers=1)
+    assert unbroken.read_bytes().startswith((tmp_path / "new" / "results.jsonl").read_bytes())
+    assert "random in 2 scenes of simple-11: " in capsys.readouterr().out
+
+
+def test_finished_results_are_left_alone(unbroken: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = unbroken.stat().st_mtime_ns
+    evaluate(**SMALL, out=unbroken)
+    assert "is already complete: 5 scenes" in capsys.readouterr().out
+    assert unbroken.stat().st_mtime_ns == before
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"seed": 12}, "holds other results: set 'simple-11', asked for 'simple-12'"),
+        ({"method": "oracle"}, "holds other results: method 'random', asked for 'oracle'"),
+        ({"scenes": 6}, "holds other results: scenes 5, asked for 6"),
+        ({"size": 48}, "holds other results: scene_sha256 "),
+    ],
+)
+def test_other_results_are_refused(unbroken: Path, change: dict[str, Any], message: str) -> None:
+    before = unbroken.read_bytes()
+    with pytest.raises(UserError, match=message):
+        evaluate(**{**SMALL, **change}, out=unbroken)
+    assert unbroken.read_bytes() == before
+
+
+def test_the_parts_of_another_command_are_refused(tmp_path: Path) -> None:
+    out = tmp_path / "results.jsonl"
+    settings = Trials(find_task("simple"), 12, "random", None, None, 32).settings()
+    Parts(out, settings).claim()
+    with pytest.raises(
+        UserError,
+        match=r"left by another command: its set is 'simple-12', asked for 'simple-11'",
+    ):
+        evaluate(**SMALL, out=out, workers=1)
+    assert [path.name for path in (tmp_path / "results.jsonl.parts").iterdir()] == ["settings.json"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"task": "simpel"}, "unknown task 'simpel': did you mean 'simple'?"),
+        ({"method": "orcale"}, "unknown method (and no model) 'orcale': did you mean 'oracle'?"),
+        ({"method": "no/such/folder"}, "unknown model (no folder, and none shipped by that name) 'no/such/folder'"),
+        ({"objects": Path("here")}, "only 'novel' takes a folder"),
+        ({"cluster": "rya"}, "'cluster': "),
+        ({"scenes": 0}, "scenes is 0: it must be from 1 to"),
+        ({"seed": -1}, "seed is -1"),
+        ({"size": 8}, "size is 8: it must be from 16"),
+        ({"workers": 0}, "workers is 0"),
+    ],
+)
+def test_bad_values_are_one_line_and_nothing_is_written(
+    change: dict[str, Any], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    values = {**SMALL, "out": tmp_path / "results.jsonl", **change}
+    assert cli.main(["evaluate", *(f"--{name}={value}" for name, value in values.items())]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert message in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_without_a_method_is_told(tmp_path: Path) -> None:
+    (tmp_path / "model").mkdir()
+    with pytest.raises(UserError, match=r"config.json: no such file"):
+        evaluate(**{**SMALL, "method": str(tmp_path / "model")}, out=tmp_path / "results.jsonl")
+    (tmp_path / "model" / "config.json").write_text('{"format": 1}')
+    with pytest.raises(UserError, match="its config.json names no grasping method"):
+        evaluate(**{**SMALL, "method": str(tmp_path / "model")}, out=tmp_path / "results.jsonl")
+
+
+def test_places_that_cannot_be_written_are_told(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"cannot write .*: it is a folder"):
+        evaluate(**SMALL, out=tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match=r"cannot write .*: Not a directory"):
+        evaluate(**SMALL, out=tmp_path / "file" / "results.jsonl")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_read_only_folder_is_told(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(UserError, match=r"cannot write .*Permission denied"):
+        evaluate(**SMALL, out=tmp_path / "results.jsonl")
+
+
+def test_a_model_is_named_by_its_weights(tmp_path: Path, tiny_network: Any) -> None:
+    from nerfgrasp.models.folder import save_model, weights_hash
+    from nerfgrasp.models.grasp_value import GraspValue, GraspValueConfig
+
+    torch.manual_seed(0)
+    model = GraspValue(GraspValueConfig(tiny_network()))
+    save_model(tmp_path / "model", model)
+    out = tmp_path / "results.jsonl"
+    evaluate(**{**SMALL, "method": str(tmp_path / "model"), "scenes": 1}, out=out, workers=1)
+    (row,) = read_results(out)
+    assert (row.method, row.model) == ("psi", weights_hash(model)[:16])
+    assert str(tmp_path) not in out.read_text()

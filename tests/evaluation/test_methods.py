@@ -1,0 +1,74 @@
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import nn
+
+from nerfgrasp import registry
+from nerfgrasp.errors import UserError
+from nerfgrasp.evaluation.methods import find_method, load_method, method_hash
+from nerfgrasp.models.folder import weights_hash
+
+
+class Trained:
+    """A method that cannot do without a model."""
+
+    def __init__(self, folder: str) -> None:
+        self.folder, self.model = folder, nn.Linear(2, 2)
+
+    @classmethod
+    def from_pretrained(cls, folder: str) -> "Trained":
+        return cls(folder)
+
+
+class Untrained:
+    @classmethod
+    def from_pretrained(cls, folder: str | None = None) -> "Untrained":
+        return cls()
+
+
+@pytest.fixture(autouse=True)
+def _registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    methods: dict[str, Any] = {"trained": Trained, "untrained": Untrained}
+    monkeypatch.setattr(registry, "load", lambda group, name: methods[name])
+    load_method.cache_clear()
+    yield
+    load_method.cache_clear()
+
+
+def test_a_registered_name_needs_no_folder() -> None:
+    assert find_method("oracle") == ("oracle", None)
+
+
+def test_a_folder_names_its_method(tmp_path: Path) -> None:
+    (tmp_path / "config.json").write_text(json.dumps({"method": "psi"}))
+    assert find_method(str(tmp_path)) == ("psi", str(tmp_path))
+    (tmp_path / "config.json").write_text(json.dumps({"method": "pis"}))
+    with pytest.raises(UserError, match="unknown method 'pis': did you mean 'psi'"):
+        find_method(str(tmp_path))
+
+
+def test_a_shipped_model_goes_by_its_name() -> None:
+    name, folder = find_method("mv3-laptop")
+    assert name == "psi"
+    assert folder is not None
+    assert folder.endswith("mv3-laptop")
+
+
+def test_a_method_that_needs_a_model_says_so() -> None:
+    with pytest.raises(UserError, match="method 'trained' needs a model: give the model's folder"):
+        load_method("trained", None)
+    assert load_method("trained", "there").folder == "there"  # type: ignore[attr-defined]
+
+
+def test_the_hash_is_that_of_the_weights() -> None:
+    assert method_hash(load_method("untrained", None)) is None
+    method: Any = load_method("trained", "there")
+    before = method_hash(method)
+    assert before == weights_hash(method.model)[:16]
+    with torch.no_grad():
+        method.model.bias += 1
+    assert method_hash(method) != before
