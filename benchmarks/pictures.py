@@ -45,7 +45,7 @@ _PERTURBATION_STREAM = 30
 TITLES = {
     "simple": "simple: one to five prisms, upright and apart",
     "clutter": "clutter: five prisms, piled up or pushed together",
-    "novel": "novel: one object of the library {library}, as it fell",
+    "novel": "novel: one object of the catalogue {catalogue}, as it fell",
 }
 DROPPED = "dropped"
 """Beside the outcomes of the attempt: what an attempt may do to the scene."""
@@ -90,7 +90,7 @@ def task_section(name: str, seed: int, scenes: int, objects: Path | None) -> Sec
     truths = [task.draw(seed, index) for index in tqdm(range(scenes), desc=name)]
     images = tuple(_render(truth, scene_camera(truth)) for truth in truths)
     captions = tuple(_contents(truth) for truth in truths)
-    return Section(TITLES[name].format(library=task.library), images, captions)
+    return Section(TITLES[name].format(catalogue=task.catalogue), images, captions)
 
 
 def find_outcomes(seed: int) -> list[tuple[str, tuple[Frame, ...], Camera]]:

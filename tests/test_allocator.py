@@ -34,7 +34,7 @@ def faults(keep: bool) -> tuple[str, int]:
 def test_freed_memory_is_used_again() -> None:
     took, kept = faults(keep=True)
     if took == "False":
-        pytest.skip("this C library keeps to its own ways")
+        pytest.skip("this C catalogue keeps to its own ways")
     assert kept < 5
     assert faults(keep=False)[1] > 10 * max(kept, 1)
 

@@ -12,7 +12,7 @@ from nerfgrasp.evaluation.results import Row, Times, read_results
 from nerfgrasp.evaluation.trials import Trials, first_scene_hash, run_scene
 from nerfgrasp.parallel import Cluster, run_all
 from nerfgrasp.sim.attempt import Outcome
-from nerfgrasp.sim.library import open_library
+from nerfgrasp.sim.catalogue import open_catalogue
 from nerfgrasp.sim.tasks import find_task
 
 
@@ -57,8 +57,8 @@ def evaluate(
     if out.is_dir():
         raise UserError(f"cannot write {out}: it is a folder")
     model = method_hash(load_method(name, folder))
-    library = open_library(objects).sha256 if found.library else None
-    trials = Trials(found, seed, name, folder, model, size, library)
+    catalogue = open_catalogue(objects).sha256 if found.catalogue else None
+    trials = Trials(found, seed, name, folder, model, size, catalogue)
     if out.exists():
         tally = Tally(_finished(trials, out, scenes))
         print(f"{out} is already complete: {scenes} scenes")

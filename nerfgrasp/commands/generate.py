@@ -62,7 +62,7 @@ def generate(
     Raises:
         UserError: a value is out of range, or `out` holds another set or cannot be written.
     """
-    from nerfgrasp.sim.library import open_library
+    from nerfgrasp.sim.catalogue import open_catalogue
     from nerfgrasp.sim.physics import physics_hash
     from nerfgrasp.sim.tasks import find_task
 
@@ -72,8 +72,8 @@ def generate(
     found = find_task(task, objects)
     # Simple scenes are drawn, not settled: without demonstrations nothing in them depends on physics.
     physics = physics_hash() if demonstrations or task != "simple" else ""
-    library = open_library(objects).sha256 if found.library else ""
-    settings = SetSettings(task, seed, scenes, views, size, demonstrations, physics, format, library)
+    catalogue = open_catalogue(objects).sha256 if found.catalogue else ""
+    settings = SetSettings(task, seed, scenes, views, size, demonstrations, physics, format, catalogue)
     writer = WRITERS[format](Path(out), settings)
     writer.prepare(Workspace())
     if not writer.missing():

@@ -26,7 +26,7 @@ def main(args: list[str]) -> int:
 
 
 def import_objects(sources: Sequence[str], out: Path, *, sha256: str | None = None) -> None:
-    """Writes a folder of objects that `open_library` reads, one folder an object.
+    """Writes a folder of objects that `open_catalogue` reads, one folder an object.
 
     Each appears whole or not at all; a run that was stopped continues where the same command is given again, and
     what was fetched is not fetched again.

@@ -32,8 +32,8 @@ class SetSettings:
     """Hash of the physics that objects came to rest and demonstrations were carried out in; empty without either."""
     format: str = "packed"
     """`packed` (arrays) or `folders` (one scene folder each)."""
-    library: str = ""
-    """Hash of the library that the objects come from; empty where they are prisms."""
+    catalogue: str = ""
+    """Hash of the catalogue that the objects come from; empty where they are prisms."""
 
 
 def claim_folder(folder: Path, settings: SetSettings, workspace: Workspace) -> bool:
@@ -69,7 +69,7 @@ def read_settings(folder: Path) -> tuple[SetSettings, Workspace]:
     data = read_json(path)
     if data.get("version") != FORMAT_VERSION:
         raise UserError(f"{path}: format version {data.get('version')!r}, this program reads {FORMAT_VERSION}")
-    data.setdefault("library", "")  # sets of prisms may be older than libraries
+    data.setdefault("catalogue", "")  # sets of prisms may be older than catalogues
     for field in fields(SetSettings):
         if type(data.get(field.name)) is not field.type:
             raise UserError(f"{path}: {field.name!r} is missing or wrong")

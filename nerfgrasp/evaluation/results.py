@@ -19,7 +19,7 @@ class Row:
     """One attempt of a method in a scene."""
 
     set: str
-    """The scene set's name: task and seed, with the objects' library between if the task has one."""
+    """The scene set's name: task and seed, with the objects' catalogue between if the task has one."""
     task: str
     """E.g. `clutter`."""
     seed: int

@@ -49,17 +49,17 @@ class Trials:
     """Hash of the method's weights."""
     size: int = 128
     """Width and height of a picture in pixels."""
-    library: str | None = None
-    """Hash of the library that the objects come from."""
+    catalogue: str | None = None
+    """Hash of the catalogue that the objects come from."""
 
     @property
     def set(self) -> str:
         """What the scenes of the task and the seed are called, e.g. `simple-100` or `novel-ycb-100`."""
-        return "-".join([self.task.name, *([self.task.library] if self.task.library else []), str(self.seed)])
+        return "-".join([self.task.name, *([self.task.catalogue] if self.task.catalogue else []), str(self.seed)])
 
     def settings(self) -> dict[str, Any]:
         """Returns as JSON data what tells these trials from others; where folders lie does not."""
-        named = {name: getattr(self, name) for name in ("set", "seed", "method", "model", "size", "library")}
+        named = {name: getattr(self, name) for name in ("set", "seed", "method", "model", "size", "catalogue")}
         return {"task": self.task.name, **named, "physics": physics_hash(), "versions": versions()}
 
 

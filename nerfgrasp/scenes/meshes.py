@@ -1,4 +1,4 @@
-"""Mesh objects: what a scene says of an object whose shape lies in files of a library."""
+"""Mesh objects: what a scene says of an object whose shape lies in files of a catalogue."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,14 +13,14 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class MeshObject:
-    """One object of a library, named and not contained: a scene stays small and holds no path."""
+    """One object of a catalogue, named and not contained: a scene stays small and holds no path."""
 
     kind: ClassVar[str] = "mesh"
     """What tells it from a prism in JSON."""
     name: str
-    """Its name in the library, e.g. `banana`."""
-    library: str
-    """The library's name: its folder's, or `pybullet`."""
+    """Its name in the catalogue, e.g. `banana`."""
+    catalogue: str
+    """The catalogue's name: its folder's, or `pybullet`."""
     sha256: str
     """16 hex digits over the model's visual and collision files."""
     mass: float
@@ -37,7 +37,7 @@ class MeshObject:
         return {
             "kind": self.kind,
             "name": self.name,
-            "library": self.library,
+            "library": self.catalogue,  # the key that recorded scene hashes were made with
             "sha256": self.sha256,
             "mass": self.mass,
             "centre": list(self.centre),
@@ -51,7 +51,7 @@ class MeshObject:
         first, second, third = data["inertia"]
         return MeshObject(
             name=data["name"],
-            library=data["library"],
+            catalogue=data["library"],
             sha256=data["sha256"],
             mass=data["mass"],
             centre=_vector(data["centre"]),

@@ -1,4 +1,4 @@
-"""An object of a scene: a prism, which is all there in the scene, or a mesh, which a library holds."""
+"""An object of a scene: a prism, which is all there in the scene, or a mesh, which a catalogue holds."""
 
 from typing import Any
 

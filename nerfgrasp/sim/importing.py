@@ -12,7 +12,7 @@ import numpy as np
 from nerfgrasp.errors import UserError
 from nerfgrasp.files import make_folder, read_json, replacing, write_json
 from nerfgrasp.sim.archives import check_sha256, fetch, is_url, unpack
-from nerfgrasp.sim.library import Library, ObjectModel, cache_folder
+from nerfgrasp.sim.catalogue import Catalogue, ObjectModel, cache_folder
 from nerfgrasp.sim.sources import Part, Source, attachments, find_sources
 
 YCB_MASSES = {
@@ -98,7 +98,7 @@ def write_object(model: ObjectModel, folder: Path, origin: str) -> None:
 
 
 def _import_folder(folder: Path, out: Path, origin: str) -> Iterator[tuple[str, bool]]:
-    # A library's own URDFs say more than the meshes that they name.
+    # A catalogue's own URDFs say more than the meshes that they name.
     scans = [] if any(folder.rglob("*.urdf")) else find_scans(folder)
     for source in scans or find_sources(folder):
         target = out / source.name
@@ -107,7 +107,7 @@ def _import_folder(folder: Path, out: Path, origin: str) -> Iterator[tuple[str, 
                 raise UserError(f"{target} is there already, and it was not made of {source.file}: remove it first")
             yield source.name, False
         else:
-            write_object(Library(out.name, (source,)).model(source.name), target, origin)
+            write_object(Catalogue(out.name, (source,)).model(source.name), target, origin)
             yield source.name, True
 
 

@@ -162,7 +162,7 @@ def _add_object(client: int, thing: SceneObject) -> None:
 
 
 def _add_mesh(client: int, thing: MeshObject) -> None:
-    from nerfgrasp.sim.library import model_of  # reads meshes: only where there are any
+    from nerfgrasp.sim.catalogue import model_of  # reads meshes: only where there are any
 
     shape = p.createVisualShape(
         p.GEOM_MESH,

@@ -55,7 +55,7 @@ class Source:
     """One model, found but not yet prepared."""
 
     name: str
-    """Unique in its library."""
+    """Unique in its catalogue."""
     file: Path
     """The URDF, or the mesh."""
     visual: tuple[Part, ...]
@@ -108,9 +108,9 @@ def attachments(mesh: Path) -> list[Path]:
     if mesh.suffix.lower() != ".obj":
         return []
     found = []
-    for library in _named(mesh, "mtllib"):
-        found.append(library)
-        found += _named(library, "map_Kd")
+    for materials in _named(mesh, "mtllib"):
+        found.append(materials)
+        found += _named(materials, "map_Kd")
     return found
 
 

@@ -259,7 +259,7 @@ def _solid(thing: SceneObject) -> MassProperties:
 
 
 def _mesh_shape(client: int, thing: MeshObject) -> int:
-    from nerfgrasp.sim.library import model_of  # reads meshes: only where there are any
+    from nerfgrasp.sim.catalogue import model_of  # reads meshes: only where there are any
 
     # Every `o` of the file becomes a convex hull of its own.
     shape: int = p.createCollisionShape(p.GEOM_MESH, fileName=str(model_of(thing).collision), physicsClientId=client)

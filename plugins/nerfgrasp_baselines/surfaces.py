@@ -14,8 +14,8 @@ from torch import Tensor
 from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Gripper
 from nerfgrasp.scenes.objects import SceneObject
 from nerfgrasp.scenes.prisms import Prism, mass_properties
+from nerfgrasp.sim.catalogue import model_of
 from nerfgrasp.sim.decomposition import read_objects
-from nerfgrasp.sim.library import model_of
 from nerfgrasp.sim.physics import PHYSICS
 
 POINTS = 800

@@ -113,17 +113,17 @@ def test_clutter_depends_on_physics_even_without_demonstrations(tmp_path: Path) 
     assert len(scenes.truth(0).objects) == 5
 
 
-def test_novel_objects_name_their_library(
+def test_novel_objects_name_their_catalogue(
     tmp_path: Path, make_box: Callable[..., Path], object_cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make_box(tmp_path / "things")
     few: dict[str, Any] = {**SMALL, "scenes": 1, "out": tmp_path / "set", "workers": 1}
     generate("novel", **few, objects=tmp_path / "things")
-    assert PackedScenes(tmp_path / "set").settings.library
+    assert PackedScenes(tmp_path / "set").settings.catalogue
     monkeypatch.setenv("NERFGRASP_OBJECTS", str(tmp_path / "things"))
     generate("novel", **few)
     make_box(tmp_path / "others", size=(0.05, 0.05, 0.05))
-    with pytest.raises(UserError, match="holds another set .*library"):
+    with pytest.raises(UserError, match="holds another set .*catalogue"):
         generate("novel", **few, objects=tmp_path / "others")
 
 

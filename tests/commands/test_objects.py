@@ -13,7 +13,7 @@ import pytest
 import trimesh
 
 from nerfgrasp import cli
-from nerfgrasp.sim.library import open_library
+from nerfgrasp.sim.catalogue import open_catalogue
 
 
 @pytest.fixture
@@ -61,14 +61,14 @@ def run(*args):
     return cli.main(["objects", "import", *map(str, args)])
 
 
-def test_an_archive_is_fetched_once_and_becomes_a_library(archive, server, tmp_path, capsys):
+def test_an_archive_is_fetched_once_and_becomes_a_catalogue(archive, server, tmp_path, capsys):
     url, out = f"{server}/{archive.name}", tmp_path / "ycb"
     digest = hashlib.sha256(archive.read_bytes()).hexdigest()
     assert run(url, "--out", out, "--sha256", digest) == 0
     assert f"{out / 'brick'}: imported" in capsys.readouterr().out
-    library = open_library(out)
-    assert (library.name, library.names) == ("ycb", ("brick",))
-    (model,) = library.models
+    catalogue = open_catalogue(out)
+    assert (catalogue.name, catalogue.names) == ("ycb", ("brick",))
+    (model,) = catalogue.models
     assert model.mass == pytest.approx(400 * 2.4e-4)
     assert trimesh.load_mesh(model.visual).extents == pytest.approx([0.04, 0.06, 0.1])
     assert json.loads((out / "brick" / "source.json").read_text())["source"] == url
@@ -96,13 +96,13 @@ def test_zip_archives_and_folders_of_meshes_serve_too(tmp_path, object_cache):
     with zipfile.ZipFile(tmp_path / "set.zip", "w") as file:
         file.writestr("meshes/flat.stl", mesh)
     assert run(tmp_path / "set.zip", "--out", tmp_path / "out") == 0
-    assert open_library(tmp_path / "out").names == ("flat",)
+    assert open_catalogue(tmp_path / "out").names == ("flat",)
 
 
 def test_an_imported_object_is_that_of_its_source(archive, scan, tmp_path, object_cache):
     """Mass, centre and inertia survive the way through our own URDF."""
     assert run(archive, "--out", tmp_path / "out") == 0
-    (ours,), (theirs,) = open_library(tmp_path / "out").models, open_library(scan).models
+    (ours,), (theirs,) = open_catalogue(tmp_path / "out").models, open_catalogue(scan).models
     assert ours.mass == pytest.approx(theirs.mass)
     assert ours.inertia[0][0] == pytest.approx(theirs.inertia[0][0], rel=1e-6)
 

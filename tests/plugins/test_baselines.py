@@ -24,7 +24,7 @@ from nerfgrasp.scenes.prisms import Polygon, Prism
 from nerfgrasp.scenes.scene import Grasps, Observations, Truth, Workspace
 from nerfgrasp.sim import shapes
 from nerfgrasp.sim.attempt import Attempt, Outcome, attempt_grasp
-from nerfgrasp.sim.library import open_library
+from nerfgrasp.sim.catalogue import open_catalogue
 
 DOWN = torch.diag(torch.tensor([1.0, -1.0, -1.0])).double()
 
@@ -107,7 +107,7 @@ def test_antipodal_grasps_a_mesh(
     tmp_path: Path, make_box: Callable[..., Path], object_cache: Path, observe: Callable[..., Observations]
 ) -> None:
     make_box(tmp_path / "things", size=(0.05, 0.08, 0.06))
-    (model,) = open_library(tmp_path / "things").models
+    (model,) = open_catalogue(tmp_path / "things").models
     thing = model.place(make_pose(torch.eye(3), torch.tensor([0.0, 0.05, 0.03])))
     grasps = propose(Antipodal(), observe(thing))
     assert grasps.value.tolist() == [1.0]

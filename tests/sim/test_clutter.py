@@ -54,7 +54,7 @@ def test_poses_and_colours_vary(scenes):
 def test_tasks_are_found_by_name():
     simple, clutter = find_task("simple"), find_task("clutter")
     assert (simple.attempts, clutter.attempts) == (1, 10)
-    assert simple.library is clutter.library is None
+    assert simple.catalogue is clutter.catalogue is None
     assert plain(simple.draw(3, 2)) == plain(simple_scene(3, 2))
     assert clutter.draw is clutter_scene
     assert {"simple", "clutter", "novel"} == set(TASKS)

@@ -10,7 +10,7 @@ import trimesh
 
 from nerfgrasp.geometry import Camera, make_pose
 from nerfgrasp.scenes.scene import Truth
-from nerfgrasp.sim.library import open_library
+from nerfgrasp.sim.catalogue import open_catalogue
 from nerfgrasp.sim.physics import PHYSICS
 from nerfgrasp.sim.rendering import render_scene, scene_lighting
 from nerfgrasp.sim.settling import drop
@@ -23,7 +23,7 @@ FLIPPED = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
 def box(tmp_path, make_box, object_cache):
     """A box of 40 x 60 x 100 mm about its frame's origin: red above, green below, blue around."""
     make_box(tmp_path / "shelf")
-    return open_library(tmp_path / "shelf").models[0]
+    return open_catalogue(tmp_path / "shelf").models[0]
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def test_hulls_leave_free_what_their_union_leaves_free(tmp_path, object_cache):
     boxes = [trimesh.creation.box(size, trimesh.transformations.translation_matrix(at)) for size, at in parts]
     (tmp_path / "shelf").mkdir()
     trimesh.util.concatenate(boxes).export(tmp_path / "shelf" / "goal.stl")
-    (goal,) = open_library(tmp_path / "shelf").models
+    (goal,) = open_catalogue(tmp_path / "shelf").models
     with World([goal.place()], PHYSICS) as world:
         world.step()
         starts, ends = [[0.0, 0.0, 1.0], [0.06, 0.0, 1.0]], [[0.0, 0.0, 0.001], [0.06, 0.0, 0.001]]

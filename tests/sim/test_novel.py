@@ -8,7 +8,7 @@ import trimesh
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.scenes.truth import truth_to_json
-from nerfgrasp.sim.library import open_library
+from nerfgrasp.sim.catalogue import open_catalogue
 from nerfgrasp.sim.physics import PHYSICS
 from nerfgrasp.sim.tasks import find_task
 from nerfgrasp.sim.world import World
@@ -42,7 +42,7 @@ def test_scenes_are_a_function_of_seed_and_index(scenes, shelf):
 
 
 def test_objects_rest_on_the_table_within_the_workspace(scenes, shelf):
-    models = {model.name: model for model in open_library(shelf).models}
+    models = {model.name: model for model in open_catalogue(shelf).models}
     for truth in scenes:
         (thing,) = truth.objects
         pose = thing.T_world_object.double().numpy()
@@ -57,7 +57,7 @@ def test_objects_rest_on_the_table_within_the_workspace(scenes, shelf):
 
 def test_the_task_says_what_its_objects_are_of(shelf):
     task = find_task("novel", shelf)
-    assert (task.name, task.attempts, task.library) == ("novel", 1, "shelf")
+    assert (task.name, task.attempts, task.catalogue) == ("novel", 1, "shelf")
 
 
 def test_a_task_draws_the_same_elsewhere(scenes, shelf, tmp_path, monkeypatch):

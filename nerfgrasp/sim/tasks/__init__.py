@@ -31,7 +31,7 @@ def find_task(name: str, objects: Path | None = None) -> Task:
 
     Args:
         name: one of `TASKS`.
-        objects: a folder of object models, for `novel` alone; see `nerfgrasp.sim.library.open_library`.
+        objects: a folder of object models, for `novel` alone; see `nerfgrasp.sim.catalogue.open_catalogue`.
 
     Raises:
         UserError: there is no such task, or it takes no objects, or the folder is none of objects.

@@ -1,4 +1,4 @@
-"""The novel task: one object of a library, at rest in a pose that it fell into."""
+"""The novel task: one object of a catalogue, at rest in a pose that it fell into."""
 
 from functools import partial
 from pathlib import Path
@@ -10,7 +10,7 @@ from torch import Tensor
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import make_pose, transform
 from nerfgrasp.scenes.scene import Truth
-from nerfgrasp.sim.library import chosen_folder, open_library
+from nerfgrasp.sim.catalogue import chosen_folder, open_catalogue
 from nerfgrasp.sim.settling import drop, stable
 from nerfgrasp.sim.tasks.draws import WORKSPACE_MARGIN, random_rotation, scene_generator, workspace
 from nerfgrasp.sim.tasks.task import Task
@@ -25,21 +25,21 @@ _LAYOUT_STREAM = 0
 
 
 def novel_task(objects: Path | None = None) -> Task:
-    """Returns the task of a library's objects, each in as many scenes as any other.
+    """Returns the task of a catalogue's objects, each in as many scenes as any other.
 
     Args:
-        objects: the library's folder; without, what `open_library` takes instead.
+        objects: the catalogue's folder; without, what `open_catalogue` takes instead.
 
     Raises:
         UserError: there are no models, or one of them cannot be read.
     """
     # Settled here: a worker process may stand elsewhere, and know other variables.
     folder = chosen_folder(objects)
-    library = open_library(folder)
+    catalogue = open_catalogue(folder)
     # What is wrong with a user's models is said now, not in the middle of a run.
     if folder is not None:
-        _ = library.models
-    return Task("novel", 1, partial(novel_scene, folder=folder), library.name)
+        _ = catalogue.models
+    return Task("novel", 1, partial(novel_scene, folder=folder), catalogue.name)
 
 
 def novel_scene(seed: int, index: int, folder: Path | None = None) -> Truth:
@@ -51,8 +51,8 @@ def novel_scene(seed: int, index: int, folder: Path | None = None) -> Truth:
     Raises:
         UserError: `folder` has no models, or this one cannot be read, or it never stays in the workspace.
     """
-    library = open_library(folder)
-    model = library.model(library.names[index % len(library.names)])
+    catalogue = open_catalogue(folder)
+    model = catalogue.model(catalogue.names[index % len(catalogue.names)])
     rng = scene_generator(seed, index, _LAYOUT_STREAM)
     corners = torch.from_numpy(model.corners()).float()
     for _ in range(TRIES):
@@ -60,7 +60,7 @@ def novel_scene(seed: int, index: int, folder: Path | None = None) -> Truth:
         if _inside(transform(resting[0].T_world_object, corners)) and stable(resting):
             return Truth("novel", seed, index, resting)
     raise UserError(
-        f"object {model.name!r} of {library.name} never comes to rest within the workspace: is it too large?"
+        f"object {model.name!r} of {catalogue.name} never comes to rest within the workspace: is it too large?"
     )
 
 

@@ -16,5 +16,5 @@ class Task:
     """At most so many a scene."""
     draw: Callable[[int, int], Truth]
     """(seed, index) -> the scene: the same on every call."""
-    library: str | None = None
+    catalogue: str | None = None
     """The name of the set that its objects come from; None where they are prisms."""

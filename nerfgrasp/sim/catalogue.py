@@ -1,4 +1,4 @@
-"""Libraries of object models: folders of URDFs or meshes, prepared for physics and pictures once."""
+"""Catalogues of object models: folders of URDFs or meshes, prepared for physics and pictures once."""
 
 import hashlib
 import os
@@ -22,7 +22,7 @@ from nerfgrasp.sim.sources import Source, find_sources
 VARIABLE = "NERFGRASP_OBJECTS"
 """The environment variable that names the folder where none is given."""
 PYBULLET = "pybullet"
-"""The name of the library of the pybullet package's own objects."""
+"""The name of the catalogue of the pybullet package's own objects."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class ObjectModel:
     """One object, ready for physics and pictures. All its files share one frame, metres."""
 
     name: str
-    """Unique in its library."""
-    library: str
-    """The library's name."""
+    """Unique in its catalogue."""
+    catalogue: str
+    """The catalogue's name."""
     sha256: str
     """16 hex digits over the files that it was made of."""
     visual: Path
@@ -56,11 +56,11 @@ class ObjectModel:
         """Returns the object of a scene that is this model, at `T_world_object` `[4, 4]`."""
         pose = torch.eye(4) if T_world_object is None else T_world_object
         first, second, third = self.inertia
-        return MeshObject(self.name, self.library, self.sha256, self.mass, self.centre, (first, second, third), pose)
+        return MeshObject(self.name, self.catalogue, self.sha256, self.mass, self.centre, (first, second, third), pose)
 
 
 @dataclass(frozen=True)
-class Library:
+class Catalogue:
     """The objects of a folder, in the order of their names."""
 
     name: str
@@ -100,22 +100,22 @@ class Library:
         raise unknown_name(f"object of {self.name}", name, self.names)
 
 
-def open_library(folder: Path | None = None) -> Library:
-    """Returns the library of a folder of URDFs or of meshes, textures beside them.
+def open_catalogue(folder: Path | None = None) -> Catalogue:
+    """Returns the catalogue of a folder of URDFs or of meshes, textures beside them.
 
     Args:
         folder: where it is; without, the folder that NERFGRASP_OBJECTS names or else the objects that come with
-            the pybullet package, as the library `pybullet`.
+            the pybullet package, as the catalogue `pybullet`.
 
     Raises:
         UserError: there are no models, or a file that one of them names is missing.
     """
     chosen = chosen_folder(folder)
-    return _package_library() if chosen is None else _open(chosen)
+    return _package_catalogue() if chosen is None else _open(chosen)
 
 
 def chosen_folder(folder: Path | None = None) -> Path | None:
-    """Returns the absolute folder that `open_library` opens for `folder`; None where it is the package's own."""
+    """Returns the absolute folder that `open_catalogue` opens for `folder`; None where it is the package's own."""
     named = folder or os.environ.get(VARIABLE)
     return Path(named).resolve() if named else None
 
@@ -123,20 +123,20 @@ def chosen_folder(folder: Path | None = None) -> Path | None:
 def model_of(thing: MeshObject) -> ObjectModel:
     """Returns the model that an object of a scene names.
 
-    It is looked for in the libraries that this process has opened, in the folder that NERFGRASP_OBJECTS names and
+    It is looked for in the catalogues that this process has opened, in the folder that NERFGRASP_OBJECTS names and
     among pybullet's.
 
     Raises:
         UserError: it is nowhere, or its files are no longer those of the scene.
     """
     changed = None
-    for library in _known():
-        if library.name == thing.library and thing.name in library.names:
-            model = library.model(thing.name)
+    for catalogue in _known():
+        if catalogue.name == thing.catalogue and thing.name in catalogue.names:
+            model = catalogue.model(thing.name)
             if model.sha256 == thing.sha256:
                 return model
             changed = model.sha256
-    what = f"object {thing.name!r} of the library {thing.library!r}"
+    what = f"object {thing.name!r} of the catalogue {thing.catalogue!r}"
     if changed:
         raise UserError(
             f"{what} is not the scene's: its files' hash is {changed}, the scene was made with {thing.sha256}"
@@ -149,37 +149,37 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "nerfgrasp" / "objects"
 
 
-_opened: dict[Path, Library] = {}
+_opened: dict[Path, Catalogue] = {}
 
 
-def _open(folder: Path) -> Library:
+def _open(folder: Path) -> Catalogue:
     if folder not in _opened:
-        _opened[folder] = Library(folder.name, tuple(find_sources(folder)))
+        _opened[folder] = Catalogue(folder.name, tuple(find_sources(folder)))
     return _opened[folder]
 
 
 @cache
-def _package_library() -> Library:
+def _package_catalogue() -> Catalogue:
     import pybullet_data
 
-    return Library(PYBULLET, tuple(find_sources(Path(pybullet_data.getDataPath(), "random_urdfs"))))
+    return Catalogue(PYBULLET, tuple(find_sources(Path(pybullet_data.getDataPath(), "random_urdfs"))))
 
 
-def _known() -> Iterator[Library]:
+def _known() -> Iterator[Catalogue]:
     yield from list(_opened.values())
     if os.environ.get(VARIABLE):
-        yield open_library()
-    yield _package_library()
+        yield open_catalogue()
+    yield _package_catalogue()
 
 
-def _prepared(library: str, source: Source) -> ObjectModel:
+def _prepared(catalogue: str, source: Source) -> ObjectModel:
     folder = cache_folder() / source.sha256
     if not folder.is_dir():
         _prepare(source, folder)
     data = read_json(folder / "model.json")
     centre, inertia = tuple(data["centre"]), tuple(map(tuple, data["inertia"]))
     files = (folder / "visual.obj", folder / "hulls.obj", folder / "collision.obj")
-    return ObjectModel(source.name, library, source.sha256, *files, data["mass"], centre, inertia)
+    return ObjectModel(source.name, catalogue, source.sha256, *files, data["mass"], centre, inertia)
 
 
 def _prepare(source: Source, folder: Path) -> None:
