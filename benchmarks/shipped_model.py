@@ -96,7 +96,7 @@ def image_scores(model: MVNeRF, held_out: PackedScenes, scene: int, skip: int, s
 @torch.inference_mode()
 def view_scores(model: MVNeRF, view: ImageBatch, workspace: Workspace, stride: int) -> dict[str, float]:
     """Renders what one view shows of the objects and of the workspace; no object seen, no score for objects."""
-    features = model.observe(view.inputs.images, view.inputs.camera())
+    features = model.observe(view.inputs.images, view.inputs.camera(), workspace)
     camera = view.target.camera()
     width, height = camera.width, camera.height
     origins, directions = pixel_rays(camera, pixel_centres(width, height).flatten(0, 1))

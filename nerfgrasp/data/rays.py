@@ -24,10 +24,6 @@ class RayBatch(NamedTuple):
     """`[B, R, 3]`, unit."""
     colours: Tensor
     """`[B, R, 3]`: what other views of the scenes show there, RGB in [0, 1]."""
-    minimum: Tensor
-    """`[B, 1, 3]`: the workspace's lower corner, metres."""
-    maximum: Tensor
-    """`[B, 1, 3]`: its upper corner."""
 
 
 class ImageBatch(NamedTuple):
@@ -108,9 +104,7 @@ class RayData(StepDataModule):
         camera = scenes.camera(scene)[torch.from_numpy(view)]
         origins, directions = (part[:, 0] for part in pixel_rays(camera, pixels[:, None]))
         colours = torch.from_numpy(scenes.images[scene][view, y, x].astype(np.float32) / 255.0)
-        box = scenes.workspace
-        views = read_views(scenes, scene, inputs)
-        return RayBatch(views, origins, directions, colours, box.minimum[None], box.maximum[None])
+        return RayBatch(read_views(scenes, scene, inputs), origins, directions, colours)
 
     def _draw_pixels(
         self, scenes: PackedScenes, scene: int, targets: np.ndarray, generator: np.random.Generator

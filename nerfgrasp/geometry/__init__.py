@@ -6,12 +6,14 @@ centres lie at +0.5.
 """
 
 from nerfgrasp.geometry.cameras import Camera, look_at, pixel_centres, pixel_rays, project
+from nerfgrasp.geometry.crops import crop_to_box
 from nerfgrasp.geometry.frames import invert, is_rigid, make_pose, transform
 from nerfgrasp.geometry.rays import box_intersection
 
 __all__ = [
     "Camera",
     "box_intersection",
+    "crop_to_box",
     "invert",
     "is_rigid",
     "look_at",

@@ -30,6 +30,10 @@ class FieldConfig:
     """Frequencies that encode the view direction in the camera's frame."""
     pool_variance: bool = False
     """Whether the variance over views is pooled beside the mean: views agree on surfaces, not in the air."""
+    pool_attention: int = 0
+    """Channels of an attention over views, pooled beside the mean: a view may not see the point; 0 for none."""
+    blend: int = 0
+    """Channels of an attention that blends the views' own colours into a point's; 0 for none."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +42,8 @@ class ViewMaps:
 
     features: Tensor
     """`[B, V, width, h, w]`: the encoder's features after the field's own feature layer."""
-    images: Tensor
-    """`[B, V, 3, H, W]`, RGB in [0, 1]."""
+    pixels: Tensor
+    """`[B, V, 3 + D, H, W]`: RGB in [0, 1], and the encoder's detail at full resolution."""
     camera: Camera
     """Batch shape `[B, V]`."""
 
@@ -54,17 +58,20 @@ class Field(nn.Module):
     Source: the paper, section III-A, and its supplementary diagrams.
     """
 
-    def __init__(self, config: FieldConfig, feature_channels: int) -> None:
+    def __init__(self, config: FieldConfig, feature_channels: int, detail_channels: int = 0) -> None:
         super().__init__()
         self.config = config
         width = config.width
         self.feature_layer = nn.Conv2d(feature_channels, width, 1, bias=False)
         self.direction_layer = nn.Linear(6 * config.direction_frequencies, width, bias=False)
-        self.point_layer = nn.Linear(6 * config.position_frequencies + 3, width)
+        self.point_layer = nn.Linear(6 * config.position_frequencies + 3 + detail_channels, width)
         self.view_trunk = nn.ModuleList(ResidualBlock(width) for _ in range(config.view_blocks))
-        self.pool_layer = nn.Linear(2 * width, width) if config.pool_variance else nn.Identity()
+        self.pool_attention = ViewAttention(width, config.pool_attention) if config.pool_attention else None
+        pooled = 1 + config.pool_variance + bool(config.pool_attention)
+        self.pool_layer = nn.Linear(pooled * width, width) if pooled > 1 else nn.Identity()
         self.fused_trunk = nn.ModuleList(ResidualBlock(width) for _ in range(config.fused_blocks))
-        self.readout = nn.Linear(width, 4)
+        self.blend = ViewAttention(width, config.blend) if config.blend else None
+        self.readout = nn.Linear(width, 5 if config.blend else 4)
 
     @property
     def activation_count(self) -> int:
@@ -83,45 +90,70 @@ class Field(nn.Module):
             points: `[B, R, S, 3]` in metres, world frame: S samples on each of R rays.
             directions: `[B, R, 3]`, unit: one a ray.
         """
-        pooled = self._pool(self._view_activations(maps, points, directions))
-        outputs = [pooled]
+        return self._fused(self._view_activations(maps, points, directions)[0])
+
+    def forward(self, maps: ViewMaps, points: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns RGB `[B, R, S, 3]` in [0, 1] and density `[B, R, S]` in 1/m."""
+        views, seen = self._view_activations(maps, points, directions)
+        fused = self._fused(views)[-1]
+        raw = self.readout(relu(fused))
+        colour = torch.sigmoid(raw[..., :3])
+        if self.blend is not None:
+            blended = (self.blend(views, fused) * seen).sum(dim=1)
+            colour = torch.lerp(colour, blended, torch.sigmoid(raw[..., 4:]))
+        # The network speaks of densities per centimetre: a surface's is then of order one.
+        return colour, 100.0 * softplus(raw[..., 3] - 2.0)
+
+    def _fused(self, views: Tensor) -> list[Tensor]:
+        outputs = [self._pool(views)]
         for block in self.fused_trunk:
             outputs.append(block(outputs[-1]))
         return outputs
 
-    def forward(self, maps: ViewMaps, points: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns RGB `[B, R, S, 3]` in [0, 1] and density `[B, R, S]` in 1/m."""
-        raw = self.readout(relu(self.activations(maps, points, directions)[-1]))
-        # The network speaks of densities per centimetre: a surface's is then of order one.
-        return torch.sigmoid(raw[..., :3]), 100.0 * softplus(raw[..., 3] - 2.0)
-
-    def _view_activations(self, maps: ViewMaps, points: Tensor, directions: Tensor) -> Tensor:
-        """Each view's activation of each point, `[B, V, R, S, width]`."""
+    def _view_activations(self, maps: ViewMaps, points: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+        """Each view's activation of each point, `[B, V, R, S, width]`, and the colour it sees there."""
         batch, rays, samples, _ = points.shape
-        views = maps.images.shape[1]
+        views = maps.pixels.shape[1]
         flat = points.reshape(batch, 1, rays * samples, 3)
         T_camera_world = invert(maps.camera.T_world_camera)
         in_camera = transform(T_camera_world, flat)
         pixels, _ = project(maps.camera, flat)
         size = torch.tensor([maps.camera.width, maps.camera.height], device=points.device)
         grid = (2.0 * pixels / size - 1.0).clamp(-2.0, 2.0).flatten(0, 1)[:, None]
-        colours = _sample(maps.images, grid)
+        pixel = _sample(maps.pixels, grid)
         features = _sample(maps.features, grid)
         encoded = encode(in_camera, self.config.position_frequencies)
-        point_part = self.point_layer(torch.cat([encoded, colours], dim=-1)) + features
+        point_part = self.point_layer(torch.cat([encoded, pixel], dim=-1)) + features
         turned = directions[:, None] @ T_camera_world[..., :3, :3].transpose(-1, -2)
         direction_part = self.direction_layer(encode(turned, self.config.direction_frequencies))
         x = point_part.view(batch, views, rays, samples, -1) + direction_part[..., None, :]
         for block in self.view_trunk:
             x = block(x)
-        return x
+        return x, pixel[..., :3].view(batch, views, rays, samples, 3)
 
     def _pool(self, x: Tensor) -> Tensor:
         mean = x.mean(dim=1)
-        if not self.config.pool_variance:
-            return mean
-        variance = (x - mean[:, None]).square().mean(dim=1)
-        return self.pool_layer(torch.cat([mean, variance], dim=-1))
+        pooled = [mean]
+        if self.config.pool_variance:
+            pooled.append((x - mean[:, None]).square().mean(dim=1))
+        if self.pool_attention is not None:
+            pooled.append((self.pool_attention(x, mean) * x).sum(dim=1))
+        return self.pool_layer(torch.cat(pooled, dim=-1) if len(pooled) > 1 else mean)
+
+
+class ViewAttention(nn.Module):
+    """Weights of V views at each point: a softmax over views of the products of keys and a query."""
+
+    def __init__(self, width: int, channels: int) -> None:
+        super().__init__()
+        self.key = nn.Linear(width, channels, bias=False)
+        self.query = nn.Linear(width, channels)
+
+    def forward(self, views: Tensor, fused: Tensor) -> Tensor:
+        """Returns weights `[B, V, ..., 1]` from the views' activations `[B, V, ..., width]` and the fused one."""
+        keys, query = self.key(relu(views)), self.query(relu(fused))
+        products = (keys * query[:, None]).sum(dim=-1, keepdim=True)
+        return torch.softmax(products / math.sqrt(keys.shape[-1]), dim=1)
 
 
 class ResidualBlock(nn.Module):

@@ -10,7 +10,7 @@ from torch.nn.functional import elu
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import Camera
 from nerfgrasp.models.mvnerf import MVNeRF, MVNeRFConfig, SceneFeatures
-from nerfgrasp.scenes.scene import Observations
+from nerfgrasp.scenes.scene import Observations, Workspace
 
 
 @dataclass(frozen=True)
@@ -71,12 +71,16 @@ class GraspValue(nn.Module):
         return [parameter for name, parameter in self.named_parameters() if not name.startswith("backbone.")]
 
     @torch.no_grad()
-    def observe(self, observations: Observations) -> SceneFeatures:
+    def observe(self, observations: Observations, workspace: Workspace) -> SceneFeatures:
         """Encodes one scene's images once.
 
         The views are taken in groups of as many as the backbone sees at once; each group is a batch entry, and
         `value` averages over them (the paper's MV1 sees each of three images by itself). What is left over of
         the last group is not used.
+
+        Args:
+            observations: the images and their cameras.
+            workspace: what they are to show.
 
         Raises:
             UserError: there are fewer images than the backbone sees at once.
@@ -92,16 +96,16 @@ class GraspValue(nn.Module):
             used.camera.width,
             used.camera.height,
         )
-        return self.backbone.observe(used.images.unflatten(0, shape), camera)
+        return self.backbone.observe(used.images.unflatten(0, shape), camera, workspace)
 
     def value(self, features: SceneFeatures, T_world_grasp: Tensor) -> Tensor:
         """Returns the values `[P]` (logits, comparable within the scene) of grasps `[P, 4, 4]` in one scene."""
-        groups = features.fine.images.shape[0]
+        groups = features.fine.pixels.shape[0]
         return self(features, T_world_grasp.expand(groups, *T_world_grasp.shape)).mean(dim=0)
 
     def density(self, features: SceneFeatures, points: Tensor, directions: Tensor) -> Tensor:
         """Returns the backbone's density `[R, S]` in 1/m at points `[R, S, 3]`, seen along directions `[R, 3]`."""
-        groups = features.fine.images.shape[0]
+        groups = features.fine.pixels.shape[0]
         _, density = self.backbone.fine(
             features.fine, points.expand(groups, *points.shape), directions.expand(groups, *directions.shape)
         )

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from nerfgrasp.geometry import Camera, box_intersection
+from nerfgrasp.geometry import Camera, box_intersection, crop_to_box
 from nerfgrasp.models.encoder import Encoder, EncoderConfig
 from nerfgrasp.models.field import Field, FieldConfig, ViewMaps
 from nerfgrasp.models.rendering import Rendering, importance, render_rays, stratified
@@ -19,6 +19,9 @@ class MVNeRFConfig:
 
     views: int = 3
     """Images that the network sees at once: 3 is the paper's MV3, 1 its MV1 (VisionNeRF)."""
+    image_size: int | None = None
+    """Side in pixels of the images that the network knows: others are cut to the workspace and resampled to it. None
+    takes images as they are."""
     encoder: EncoderConfig = field(default_factory=EncoderConfig)
     """The image encoder."""
     coarse: FieldConfig = field(default_factory=FieldConfig)
@@ -66,23 +69,45 @@ class MVNeRF(nn.Module):
         super().__init__()
         self.config = config
         self.encoder = Encoder(config.encoder)
-        self.coarse = Field(config.coarse, self.encoder.channels)
-        self.fine = Field(config.fine, self.encoder.channels)
+        channels = self.encoder.channels, config.encoder.detail_channels
+        self.coarse = Field(config.coarse, *channels)
+        self.fine = Field(config.fine, *channels)
 
-    def observe(self, images: Tensor, camera: Camera, *, fine_only: bool = False) -> SceneFeatures:
+    def observe(
+        self, images: Tensor, camera: Camera, workspace: Workspace, *, fine_only: bool = False
+    ) -> SceneFeatures:
         """Encodes the views of B scenes.
 
         Args:
             images: `[B, V, 3, H, W]`, RGB in [0, 1].
             camera: batch shape `[B, V]`, of the images' size.
+            workspace: the box that the images are to show; corners `[3]` or `[B, 1, 3]`.
             fine_only: leave out what only rendering needs.
         """
+        images, camera = self.fit_images(images, camera, workspace)
         features = self.encoder(images.flatten(0, 1))
+        pixels = self.pixels(images)
 
         def maps(network: Field) -> ViewMaps:
-            return ViewMaps(network.project_features(features).unflatten(0, images.shape[:2]), images, camera)
+            return ViewMaps(network.project_features(features).unflatten(0, images.shape[:2]), pixels, camera)
 
         return SceneFeatures(None if fine_only else maps(self.coarse), maps(self.fine))
+
+    def pixels(self, images: Tensor) -> Tensor:
+        """Returns what fields read of images `[B, V, 3, H, W]` at full resolution; see `Encoder.pixels`."""
+        return self.encoder.pixels(images.flatten(0, 1)).unflatten(0, images.shape[:2])
+
+    def fit_images(self, images: Tensor, camera: Camera, workspace: Workspace) -> tuple[Tensor, Camera]:
+        """Brings images to the size that the network knows, as `MVNeRFConfig.image_size` says; arguments as above."""
+        size = self.config.image_size
+        if size is None or images.shape[-2:] == (size, size):
+            return images, camera
+        shape = images.shape[:2]
+        flat = Camera(camera.intrinsics.flatten(0, 1), camera.T_world_camera.flatten(0, 1), camera.width, camera.height)
+        low, high = (corner.expand(*shape, 3).flatten(0, 1) for corner in (workspace.minimum, workspace.maximum))
+        cropped, near = crop_to_box(images.flatten(0, 1), flat, low, high, size)
+        intrinsics, poses = near.intrinsics.unflatten(0, shape), near.T_world_camera.unflatten(0, shape)
+        return cropped.unflatten(0, shape), Camera(intrinsics, poses, size, size)
 
     def bounds(self, minimum: Tensor, maximum: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the corners `[..., 3]` of the box in which rays are sampled, from the workspace's."""

@@ -100,7 +100,7 @@ class Psi:
             UserError: too few views, or an unknown parameterization.
         """
         parameterization = registry.load(registry.POSES, pose)() if isinstance(pose, str) else pose
-        features = self.model.observe(observations.select(slice(self.images)))
+        features = self.model.observe(observations.select(slice(self.images)), workspace)
         candidates = self.candidates if candidates is None else candidates
         keep = self.keep if keep is None else keep
         all_climb = keep is None or keep >= candidates

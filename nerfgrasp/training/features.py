@@ -22,17 +22,19 @@ class FeatureCache:
     @torch.no_grad()
     def __call__(self, batch: GraspBatch) -> SceneFeatures:
         """Returns the features of the batch's B scenes, for the fine field only."""
+        images, camera, box = batch.inputs.images, batch.inputs.camera(), batch.inputs.workspace()
         if not self.enabled:
-            return self.backbone.observe(batch.inputs.images, batch.inputs.camera(), fine_only=True)
-        scenes = range(len(batch.scene))
-        views = range(batch.view.shape[1])
-        maps = torch.stack([torch.stack([self._one(batch, scene, view) for view in views]) for scene in scenes])
-        return SceneFeatures(None, ViewMaps(maps.float(), batch.inputs.images, batch.inputs.camera()))
+            return self.backbone.observe(images, camera, box, fine_only=True)
+        images, camera = self.backbone.fit_images(images, camera, box)
+        keys = [[(int(s), int(v)) for v in views] for s, views in zip(batch.scene, batch.view, strict=True)]
+        maps = [
+            [self._one(key, image) for key, image in zip(*row, strict=True)] for row in zip(keys, images, strict=True)
+        ]
+        features = torch.stack([torch.stack(row) for row in maps]).float()
+        return SceneFeatures(None, ViewMaps(features, self.backbone.pixels(images), camera))
 
-    def _one(self, batch: GraspBatch, scene: int, view: int) -> Tensor:
-        key = (int(batch.scene[scene]), int(batch.view[scene, view]))
+    def _one(self, key: tuple[int, int], image: Tensor) -> Tensor:
         if key not in self._maps:
-            camera = batch.inputs.camera()[scene : scene + 1, view : view + 1]
-            image = batch.inputs.images[scene : scene + 1, view : view + 1]
-            self._maps[key] = self.backbone.observe(image, camera, fine_only=True).fine.features[0, 0].half()
+            features = self.backbone.encoder(image[None])
+            self._maps[key] = self.backbone.fine.project_features(features)[0].half()
         return self._maps[key]

@@ -77,7 +77,8 @@ class GraspValueTraining(ScheduledTraining):
 
     def validation_step(self, batch: GraspBatch, batch_idx: int) -> None:
         """Values a held-out scene's poses."""
-        features = self.network.backbone.observe(batch.inputs.images, batch.inputs.camera(), fine_only=True)
+        inputs = batch.inputs
+        features = self.network.backbone.observe(inputs.images, inputs.camera(), inputs.workspace(), fine_only=True)
         values = self.network(features, batch.T_world_grasp)
         self.held_out["loss"].update(grasp_loss(values, self.loss))
         self.held_out["top1"].update(_top1(values))

@@ -8,7 +8,6 @@ from torchmetrics.functional.image import peak_signal_noise_ratio, structural_si
 
 from nerfgrasp.data.rays import ImageBatch, RayBatch
 from nerfgrasp.models import MVNeRF, MVNeRFConfig, render_image
-from nerfgrasp.scenes.scene import Workspace
 from nerfgrasp.training.module import ScheduledTraining
 from nerfgrasp.training.schedule import LearningRate
 
@@ -42,9 +41,9 @@ class MVNeRFTraining(ScheduledTraining):
     def training_step(self, batch: RayBatch, batch_idx: int) -> Tensor:
         """Returns the loss of one batch of rays."""
         generator = torch.Generator().manual_seed(self.seed + 1_000_003 * (self.global_step + 1))
-        features = self.network.observe(batch.inputs.images, batch.inputs.camera())
-        box = Workspace(batch.minimum, batch.maximum)
-        rendered = self.network.render(features, batch.origins, batch.directions, box, generator)
+        workspace = batch.inputs.workspace()
+        features = self.network.observe(batch.inputs.images, batch.inputs.camera(), workspace)
+        rendered = self.network.render(features, batch.origins, batch.directions, workspace, generator)
         coarse = (rendered.coarse.colour - batch.colours).square().mean()
         fine = (rendered.fine.colour - batch.colours).square().mean()
         self.log("train/psnr", -10.0 * fine.detach().log10(), prog_bar=True)
@@ -53,8 +52,8 @@ class MVNeRFTraining(ScheduledTraining):
 
     def validation_step(self, batch: ImageBatch, batch_idx: int) -> None:
         """Renders a whole held-out view and measures it over the workspace and over the objects."""
-        features = self.network.observe(batch.inputs.images, batch.inputs.camera())
-        rgb, _, inside = render_image(self.network, features, batch.target.camera(), self._workspace())
+        features = self.network.observe(batch.inputs.images, batch.inputs.camera(), batch.inputs.workspace())
+        rgb, _, inside = render_image(self.network, features, batch.target.camera(), batch.target.workspace())
         for name, value in image_scores(rgb.movedim(-1, 0), batch.target.images, inside, batch.objects).items():
             self.held_out[name].update(value)
 
@@ -68,9 +67,6 @@ class MVNeRFTraining(ScheduledTraining):
                 {"params": fields, "lr": self.learning_rate},
             ]
         )
-
-    def _workspace(self) -> Workspace:
-        return self.trainer.datamodule.held_out.workspace.to(self.device)  # type: ignore[attr-defined]
 
 
 def image_scores(rendered: Tensor, truth: Tensor, inside: Tensor, objects: Tensor) -> dict[str, Tensor]:

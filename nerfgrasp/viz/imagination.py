@@ -26,7 +26,7 @@ def imagine(model: GraspValue, observations: Observations, workspace: Workspace,
     """
     used = observations.select(slice(model.views))
     camera = _shrink(opposite_camera(used.camera, workspace), longer_side)
-    rgb, depth, inside = render_image(model.backbone, model.observe(used), camera, workspace)
+    rgb, depth, inside = render_image(model.backbone, model.observe(used, workspace), camera, workspace)
     rgb = torch.where(inside[..., None], rgb, torch.full_like(rgb, OUTSIDE))
     return [
         Panel("imagined from another side", rgb, camera),

@@ -41,7 +41,7 @@ def test_shapes(packed_set: Path) -> None:
     assert found.inputs.images.shape == (3, 2, 3, 32, 32)
     assert found.inputs.camera().intrinsics.shape == (3, 2, 3, 3)
     assert found.origins.shape == found.directions.shape == found.colours.shape == (3, 40, 3)
-    assert found.minimum.shape == found.maximum.shape == (3, 1, 3)
+    assert found.inputs.minimum.shape == found.inputs.maximum.shape == (3, 1, 3)
     torch.testing.assert_close(found.directions.norm(dim=-1), torch.ones(3, 40))
     assert all(part.dtype == torch.float32 for part in (*found.inputs, *found[1:]))
 
@@ -95,7 +95,7 @@ def test_object_rays_hit_the_object(packed_set: Path) -> None:
 
 def test_other_rays_meet_the_workspace(packed_set: Path) -> None:
     found = batch(rays(packed_set))
-    near, far = box_intersection(found.origins, found.directions, found.minimum, found.maximum)
+    near, far = box_intersection(found.origins, found.directions, found.inputs.minimum, found.inputs.maximum)
     assert (far > near).all()
 
 

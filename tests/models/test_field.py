@@ -47,7 +47,7 @@ def test_the_first_layer_is_one_linear_layer_over_the_concatenation(scene, queri
     field = Field(FieldConfig(width=16, view_blocks=0, fused_blocks=0, position_frequencies=5), 8)
     features, images, camera = scene
     points, directions = queries
-    found = field._view_activations(maps(field, scene), points, directions)
+    found, _ = field._view_activations(maps(field, scene), points, directions)
 
     weight = torch.cat(
         [
@@ -89,7 +89,7 @@ def test_scene_activations(scene, queries) -> None:
     found = field.activations(maps(field, scene), *queries)
     assert field.activation_count == len(found) == 4
     assert all(activation.shape == (2, 5, 4, 16) for activation in found)
-    pooled = field._view_activations(maps(field, scene), *queries).mean(dim=1)
+    pooled = field._view_activations(maps(field, scene), *queries)[0].mean(dim=1)
     torch.testing.assert_close(found[0], pooled)
     for before, block, after in zip(found, field.fused_trunk, found[1:], strict=False):
         torch.testing.assert_close(block(before), after)

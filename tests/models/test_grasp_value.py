@@ -10,7 +10,7 @@ from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import Camera, invert, make_pose, transform
 from nerfgrasp.models import EncoderConfig, GraspValue, GraspValueConfig, MVNeRFConfig
 from nerfgrasp.models.grasp_value import mirror_orders, probe_rays, probe_steps
-from nerfgrasp.scenes.scene import Observations
+from nerfgrasp.scenes.scene import Observations, Workspace
 
 
 @pytest.fixture
@@ -93,7 +93,7 @@ def test_the_paper_s_readout() -> None:
 
 
 def test_a_grasp_s_value_does_not_depend_on_its_company(model: GraspValue, observations: Observations) -> None:
-    features = model.observe(observations)
+    features = model.observe(observations, Workspace())
     T = poses(5)
     together = model.value(features, T)
     assert together.shape == (5,)
@@ -106,13 +106,13 @@ def test_moving_scene_and_grasp_together_changes_nothing(model: GraspValue, obse
     T = make_pose(roma.rotvec_to_rotmat(torch.tensor([0.3, 0.9, -0.4])), torch.tensor([1.0, -0.5, 0.2]))
     camera = observations.camera
     moved = Observations(observations.images, Camera(camera.intrinsics, T @ camera.T_world_camera, 32, 32))
-    here = model.value(model.observe(observations), poses(4))
-    there = model.value(model.observe(moved), T @ poses(4))
+    here = model.value(model.observe(observations, Workspace()), poses(4))
+    there = model.value(model.observe(moved, Workspace()), T @ poses(4))
     torch.testing.assert_close(here, there, atol=1e-3, rtol=1e-3)
 
 
 def test_the_value_sees_position_and_orientation(model: GraspValue, observations: Observations) -> None:
-    features = model.observe(observations)
+    features = model.observe(observations, Workspace())
     T = poses(1)
     turn = make_pose(roma.rotvec_to_rotmat(torch.tensor([0.0, 0.0, 0.4])), torch.tensor([0.0, 0.0, 0.01]))
     assert (model.value(features, T @ turn) - model.value(features, T)).abs() > 1e-6
@@ -122,7 +122,7 @@ def test_gradients_in_the_pose_are_right(model: GraspValue, observations: Observ
     model = model.double()
     camera = observations.camera
     double = Camera(camera.intrinsics.double(), camera.T_world_camera.double(), 32, 32)
-    features = model.observe(Observations(observations.images.double(), double))
+    features = model.observe(Observations(observations.images.double(), double), Workspace())
     start = poses(2).double()
 
     def value(move: Tensor, turn: Tensor) -> Tensor:
@@ -136,25 +136,25 @@ def test_one_view_at_a_time_is_the_mean_of_single_values(tiny_network, observati
     torch.manual_seed(0)
     model = GraspValue(GraspValueConfig(tiny_network(views=1))).eval()
     T = poses(3)
-    together = model.value(model.observe(observations.select(slice(3))), T)
-    single = [model.value(model.observe(observations.select(slice(v, v + 1))), T) for v in range(3)]
+    together = model.value(model.observe(observations.select(slice(3)), Workspace()), T)
+    single = [model.value(model.observe(observations.select(slice(v, v + 1)), Workspace()), T) for v in range(3)]
     torch.testing.assert_close(together, torch.stack(single).mean(dim=0), atol=1e-5, rtol=1e-5)
     assert (single[0] - single[1]).abs().max() > 1e-5
 
 
 def test_views_beyond_the_last_group_are_not_used(model: GraspValue, observations: Observations) -> None:
     assert model.views == 3
-    four, three = (model.value(model.observe(observations.select(slice(n))), poses(3)) for n in (4, 3))
+    four, three = (model.value(model.observe(observations.select(slice(n)), Workspace()), poses(3)) for n in (4, 3))
     torch.testing.assert_close(four, three)
 
 
 def test_fewer_views_than_needed_are_refused(model: GraspValue, observations: Observations) -> None:
     with pytest.raises(UserError, match="^the model needs 3 views, the scene has 2$"):
-        model.observe(observations.select(slice(2)))
+        model.observe(observations.select(slice(2)), Workspace())
 
 
 def test_observing_keeps_no_graph_and_the_head_is_all_but_the_backbone(model: GraspValue, observations) -> None:
-    assert not model.observe(observations).fine.features.requires_grad
+    assert not model.observe(observations, Workspace()).fine.features.requires_grad
     head, backbone = model.head_parameters(), list(model.backbone.parameters())
     assert len(head) + len(backbone) == len(list(model.parameters()))
     assert not {id(p) for p in head} & {id(p) for p in backbone}
@@ -185,14 +185,14 @@ def test_symmetric_value_of_a_half_turned_grasp_is_the_same(
     grasps = poses(5)
     turned = grasps @ torch.diag(torch.tensor([-1.0, -1.0, 1.0, 1.0]))
     for network, same in ((symmetric, True), (model, False)):
-        features = network.observe(observations)
+        features = network.observe(observations, Workspace())
         with torch.no_grad():
             before, after = (network.value(features, T) for T in (grasps, turned))
         assert torch.allclose(before, after, atol=1e-5) == same
 
 
 def test_symmetric_value_is_the_mean_over_the_orders(symmetric: GraspValue, observations: Observations) -> None:
-    features = symmetric.observe(observations)
+    features = symmetric.observe(observations, Workspace())
     with torch.no_grad():
         value = symmetric.value(features, poses(5))
         orders, single = symmetric.orders, []

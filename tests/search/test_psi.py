@@ -20,7 +20,7 @@ class FakeValue(nn.Module):
         self.scale = nn.Parameter(torch.tensor(10.0))
         self.seen: list[int] = []
 
-    def observe(self, observations: Observations) -> Tensor:
+    def observe(self, observations: Observations, workspace: Workspace) -> Tensor:
         self.seen.append(len(observations))
         return observations.images[0, :, 0, 0]
 
@@ -89,11 +89,11 @@ def test_a_feasible_grasp_comes_before_one_of_more_value(method: Psi, workspace:
     down = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
     beside, around = make_pose(down, torch.tensor([0.1, 0.0, 0.045])), make_pose(down, torch.tensor([0.0, 0.0, 0.045]))
     found = Grasps(torch.stack([beside, around]), torch.tensor([1.0, 0.0]))
-    weighed = method._weighed(found, method.model.observe(observe(3)), workspace)
+    weighed = method._weighed(found, method.model.observe(observe(3), workspace), workspace)
     assert torch.equal(weighed.T_world_grasp[0], around)
     assert weighed.value[0] == pytest.approx(0.0, abs=0.05)
     alone = Psi(FakeValue(), feasibility=None)  # type: ignore[arg-type]
-    assert alone._weighed(found, alone.model.observe(observe(3)), workspace) is found
+    assert alone._weighed(found, alone.model.observe(observe(3), workspace), workspace) is found
 
 
 def test_a_search_trains_nothing(method: Psi, workspace: Workspace) -> None:

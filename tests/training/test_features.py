@@ -8,6 +8,7 @@ from nerfgrasp.data.grasps import GraspBatch
 from nerfgrasp.data.views import Views
 from nerfgrasp.geometry import Camera
 from nerfgrasp.models import MVNeRF
+from nerfgrasp.scenes.scene import Workspace
 from nerfgrasp.training.features import FeatureCache
 
 
@@ -31,6 +32,8 @@ def batch(cameras: Callable[..., Camera], scenes: list[int], views: list[list[in
             torch.stack(images),
             camera.intrinsics.expand(len(scenes), 2, 3, 3),
             camera.T_world_camera.expand(len(scenes), 2, 4, 4),
+            Workspace().minimum.expand(len(scenes), 1, 3),
+            Workspace().maximum.expand(len(scenes), 1, 3),
         ),
         torch.eye(4).expand(len(scenes), 5, 4, 4),
     )
@@ -43,7 +46,7 @@ def test_the_cache_gives_what_observing_gives(backbone: MVNeRF, cameras: Callabl
     assert plain.coarse is None
     assert cached.fine.features.dtype == torch.float32
     torch.testing.assert_close(cached.fine.features, plain.fine.features, atol=2e-3, rtol=2e-3)
-    assert torch.equal(cached.fine.images, asked.inputs.images)
+    assert torch.equal(cached.fine.pixels, asked.inputs.images)
     assert torch.equal(cached.fine.camera.T_world_camera, asked.inputs.T_world_camera)
     assert not cached.fine.features.requires_grad
     assert not plain.fine.features.requires_grad
