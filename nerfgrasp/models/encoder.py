@@ -41,8 +41,6 @@ class EncoderConfig:
     """Residual blocks of the convolution branch."""
     conv_size: int | None = None
     """Side in pixels to which the convolution branch's input is resized; None leaves it as it is."""
-    detail_channels: int = 0
-    """Channels of two convolutions at the image's full resolution, which fields sample beside RGB."""
     upsample: bool = True
     """Whether the features, made at half the image's resolution, are upsampled to the whole."""
 
@@ -78,31 +76,23 @@ class Encoder(nn.Module):
             nn.ReLU(),
             *(ResidualConv(a, b) for a, b in pairwise(widths)),
         )
-        self.detail = _detail(config.detail_channels) if config.detail_channels else None
         statistics = torch.tensor([self.vit.default_cfg[key] for key in ("mean", "std")])
         self.register_buffer("statistics", statistics.view(2, 3, 1, 1), persistent=False)
 
     @property
     def channels(self) -> int:
-        """The number C of feature channels; those of `pixels` are 3 + `detail_channels`."""
+        """The number C of feature channels."""
         return self.config.vit_channels + self.config.conv_channels
 
     def forward(self, images: Tensor) -> Tensor:
         """See the class."""
-        normalised = self._normalise(images)
+        normalised = (images - self.statistics[0]) / self.statistics[1]
         local = self.conv(_resize(normalised, self.config.conv_size))
         context = interpolate(self._context(normalised), size=local.shape[-2:], mode="bilinear", align_corners=False)
         features = torch.cat([context, local], dim=1)
         if self.config.upsample:
             features = interpolate(features, size=images.shape[-2:], mode="bilinear", align_corners=False)
         return features
-
-    def pixels(self, images: Tensor) -> Tensor:
-        """Returns what fields sample at full resolution: RGB, and the detail `[N, 3 + detail_channels, H, W]`."""
-        return images if self.detail is None else torch.cat([images, self.detail(self._normalise(images))], dim=1)
-
-    def _normalise(self, images: Tensor) -> Tensor:
-        return (images - self.statistics[0]) / self.statistics[1]
 
     def _context(self, images: Tensor) -> Tensor:
         images = _resize(images, self.config.vit_size)
@@ -136,10 +126,6 @@ def _resize(images: Tensor, side: int | None) -> Tensor:
     if side is None or images.shape[-2:] == (side, side):
         return images
     return interpolate(images, size=(side, side), mode="bilinear", align_corners=False, antialias=True)
-
-
-def _detail(channels: int) -> nn.Module:
-    return nn.Sequential(nn.Conv2d(3, channels, 5, padding=2), nn.ReLU(), nn.Conv2d(channels, channels, 3, padding=1))
 
 
 def _norm(channels: int) -> nn.Module:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import grid_sample, relu, softplus
+from torch.nn.functional import embedding_bag, grid_sample, linear, relu, softplus
 
 from nerfgrasp.geometry import Camera, project, transform
 from nerfgrasp.geometry.frames import invert
@@ -30,10 +30,9 @@ class FieldConfig:
     """Frequencies that encode the view direction in the camera's frame."""
     pool_variance: bool = False
     """Whether the variance over views is pooled beside the mean: views agree on surfaces, not in the air."""
-    pool_attention: int = 0
-    """Channels of an attention over views, pooled beside the mean: a view may not see the point; 0 for none."""
     blend: int = 0
-    """Channels of an attention that blends the views' own colours into a point's; 0 for none."""
+    """Channels of an attention that blends the colours that the views see at a point into the point's own; 0 for none,
+    as in the paper. Views that do not see the point are to be told from those that do."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +40,9 @@ class ViewMaps:
     """What a field reads from the views of B scenes."""
 
     features: Tensor
-    """`[B, V, width, h, w]`: the encoder's features after the field's own feature layer."""
-    pixels: Tensor
-    """`[B, V, 3 + D, H, W]`: RGB in [0, 1], and the encoder's detail at full resolution."""
+    """`[B, V, h, w, width]`: the encoder's features after the field's own feature layer."""
+    images: Tensor
+    """`[B, V, 3, H, W]`, RGB in [0, 1]."""
     camera: Camera
     """Batch shape `[B, V]`."""
 
@@ -58,17 +57,15 @@ class Field(nn.Module):
     Source: the paper, section III-A, and its supplementary diagrams.
     """
 
-    def __init__(self, config: FieldConfig, feature_channels: int, detail_channels: int = 0) -> None:
+    def __init__(self, config: FieldConfig, feature_channels: int) -> None:
         super().__init__()
         self.config = config
         width = config.width
         self.feature_layer = nn.Conv2d(feature_channels, width, 1, bias=False)
         self.direction_layer = nn.Linear(6 * config.direction_frequencies, width, bias=False)
-        self.point_layer = nn.Linear(6 * config.position_frequencies + 3 + detail_channels, width)
+        self.point_layer = nn.Linear(6 * config.position_frequencies + 3, width)
         self.view_trunk = nn.ModuleList(ResidualBlock(width) for _ in range(config.view_blocks))
-        self.pool_attention = ViewAttention(width, config.pool_attention) if config.pool_attention else None
-        pooled = 1 + config.pool_variance + bool(config.pool_attention)
-        self.pool_layer = nn.Linear(pooled * width, width) if pooled > 1 else nn.Identity()
+        self.pool_layer = nn.Linear(2 * width, width) if config.pool_variance else nn.Identity()
         self.fused_trunk = nn.ModuleList(ResidualBlock(width) for _ in range(config.fused_blocks))
         self.blend = ViewAttention(width, config.blend) if config.blend else None
         self.readout = nn.Linear(width, 5 if config.blend else 4)
@@ -79,8 +76,8 @@ class Field(nn.Module):
         return 1 + self.config.fused_blocks
 
     def project_features(self, features: Tensor) -> Tensor:
-        """Applies the feature part of the first layer: `[N, C, h, w]` to `[N, width, h, w]`."""
-        return self.feature_layer(features)
+        """Applies the feature part of the first layer: `[N, C, h, w]` to `[N, h, w, width]`."""
+        return linear(features.movedim(1, -1), self.feature_layer.weight.flatten(1))
 
     def activations(self, maps: ViewMaps, points: Tensor, directions: Tensor) -> list[Tensor]:
         """Returns the scene activations, first the pooled one, each `[B, R, S, width]`.
@@ -100,7 +97,7 @@ class Field(nn.Module):
         colour = torch.sigmoid(raw[..., :3])
         if self.blend is not None:
             blended = (self.blend(views, fused) * seen).sum(dim=1)
-            colour = torch.lerp(colour, blended, torch.sigmoid(raw[..., 4:]))
+            colour = colour + torch.sigmoid(raw[..., 4:]) * (blended - colour)
         # The network speaks of densities per centimetre: a surface's is then of order one.
         return colour, 100.0 * softplus(raw[..., 3] - 2.0)
 
@@ -113,32 +110,30 @@ class Field(nn.Module):
     def _view_activations(self, maps: ViewMaps, points: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
         """Each view's activation of each point, `[B, V, R, S, width]`, and the colour it sees there."""
         batch, rays, samples, _ = points.shape
-        views = maps.pixels.shape[1]
+        views = maps.images.shape[1]
         flat = points.reshape(batch, 1, rays * samples, 3)
         T_camera_world = invert(maps.camera.T_world_camera)
         in_camera = transform(T_camera_world, flat)
         pixels, _ = project(maps.camera, flat)
         size = torch.tensor([maps.camera.width, maps.camera.height], device=points.device)
-        grid = (2.0 * pixels / size - 1.0).clamp(-2.0, 2.0).flatten(0, 1)[:, None]
-        pixel = _sample(maps.pixels, grid)
-        features = _sample(maps.features, grid)
-        encoded = encode(in_camera, self.config.position_frequencies)
-        point_part = self.point_layer(torch.cat([encoded, pixel], dim=-1)) + features
+        grid = (2.0 * pixels / size - 1.0).clamp(-2.0, 2.0).flatten(0, 1)
+        colours = sample_maps(maps.images.flatten(0, 1).movedim(1, -1), grid)
+        features = sample_maps(maps.features.flatten(0, 1), grid)
+        encoded = encode(in_camera.flatten(0, 1), self.config.position_frequencies)
+        point_part = self.point_layer(torch.cat([encoded, colours], dim=-1)) + features
         turned = directions[:, None] @ T_camera_world[..., :3, :3].transpose(-1, -2)
         direction_part = self.direction_layer(encode(turned, self.config.direction_frequencies))
         x = point_part.view(batch, views, rays, samples, -1) + direction_part[..., None, :]
         for block in self.view_trunk:
             x = block(x)
-        return x, pixel[..., :3].view(batch, views, rays, samples, 3)
+        return x, colours.view(batch, views, rays, samples, 3)
 
     def _pool(self, x: Tensor) -> Tensor:
         mean = x.mean(dim=1)
-        pooled = [mean]
-        if self.config.pool_variance:
-            pooled.append((x - mean[:, None]).square().mean(dim=1))
-        if self.pool_attention is not None:
-            pooled.append((self.pool_attention(x, mean) * x).sum(dim=1))
-        return self.pool_layer(torch.cat(pooled, dim=-1) if len(pooled) > 1 else mean)
+        if not self.config.pool_variance:
+            return mean
+        variance = (x - mean[:, None]).square().mean(dim=1)
+        return self.pool_layer(torch.cat([mean, variance], dim=-1))
 
 
 class ViewAttention(nn.Module):
@@ -179,7 +174,30 @@ def encode(x: Tensor, frequencies: int) -> Tensor:
     return torch.cat([angles.sin(), angles.cos()], dim=-1)
 
 
-def _sample(maps: Tensor, grid: Tensor) -> Tensor:
-    """Bilinear samples `[B, V, N, C]` of maps `[B, V, C, h, w]` at a grid `[B·V, 1, N, 2]` in [-1, 1]."""
-    sampled = grid_sample(maps.flatten(0, 1), grid, padding_mode="border", align_corners=False)
-    return sampled[:, :, 0].transpose(1, 2).unflatten(0, maps.shape[:2])
+def sample_maps(maps: Tensor, grid: Tensor) -> Tensor:
+    """Bilinear samples of maps, which repeat their borders; as `grid_sample(align_corners=False)` gives them.
+
+    On the CPU a sum of rows of the map, where channels lie together, is several times faster, above all backward.
+
+    Args:
+        maps: `[N, h, w, C]`.
+        grid: `[N, P, 2]`, x and y in [-1, 1] from border to border.
+
+    Returns:
+        `[N, P, C]`.
+    """
+    if maps.device.type != "cpu":
+        sampled = grid_sample(maps.movedim(-1, 1), grid[:, None], padding_mode="border", align_corners=False)
+        return sampled[:, :, 0].transpose(1, 2)
+    count, height, width, channels = maps.shape
+    size = torch.tensor([width, height], dtype=grid.dtype)
+    position = torch.minimum((0.5 * (grid + 1.0) * size - 0.5).clamp(min=0.0), size - 1.0)
+    low = torch.minimum(position.detach().floor(), size - 2.0)
+    x, y = (position - low).unbind(dim=-1)
+    column, row = low.long().unbind(dim=-1)
+    first = (torch.arange(count)[:, None] * height + row) * width + column
+    corners = first[..., None] + torch.tensor([0, 1, width, width + 1])
+    shares = torch.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], dim=-1)
+    rows = maps.reshape(-1, channels)
+    sampled = embedding_bag(corners.view(-1, 4), rows, per_sample_weights=shares.view(-1, 4).to(rows), mode="sum")
+    return sampled.view(*grid.shape[:2], channels)

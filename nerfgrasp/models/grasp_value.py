@@ -100,12 +100,12 @@ class GraspValue(nn.Module):
 
     def value(self, features: SceneFeatures, T_world_grasp: Tensor) -> Tensor:
         """Returns the values `[P]` (logits, comparable within the scene) of grasps `[P, 4, 4]` in one scene."""
-        groups = features.fine.pixels.shape[0]
+        groups = features.fine.images.shape[0]
         return self(features, T_world_grasp.expand(groups, *T_world_grasp.shape)).mean(dim=0)
 
     def density(self, features: SceneFeatures, points: Tensor, directions: Tensor) -> Tensor:
         """Returns the backbone's density `[R, S]` in 1/m at points `[R, S, 3]`, seen along directions `[R, 3]`."""
-        groups = features.fine.pixels.shape[0]
+        groups = features.fine.images.shape[0]
         _, density = self.backbone.fine(
             features.fine, points.expand(groups, *points.shape), directions.expand(groups, *directions.shape)
         )

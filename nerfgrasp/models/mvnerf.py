@@ -69,9 +69,8 @@ class MVNeRF(nn.Module):
         super().__init__()
         self.config = config
         self.encoder = Encoder(config.encoder)
-        channels = self.encoder.channels, config.encoder.detail_channels
-        self.coarse = Field(config.coarse, *channels)
-        self.fine = Field(config.fine, *channels)
+        self.coarse = Field(config.coarse, self.encoder.channels)
+        self.fine = Field(config.fine, self.encoder.channels)
 
     def observe(
         self, images: Tensor, camera: Camera, workspace: Workspace, *, fine_only: bool = False
@@ -86,16 +85,11 @@ class MVNeRF(nn.Module):
         """
         images, camera = self.fit_images(images, camera, workspace)
         features = self.encoder(images.flatten(0, 1))
-        pixels = self.pixels(images)
 
         def maps(network: Field) -> ViewMaps:
-            return ViewMaps(network.project_features(features).unflatten(0, images.shape[:2]), pixels, camera)
+            return ViewMaps(network.project_features(features).unflatten(0, images.shape[:2]), images, camera)
 
         return SceneFeatures(None if fine_only else maps(self.coarse), maps(self.fine))
-
-    def pixels(self, images: Tensor) -> Tensor:
-        """Returns what fields read of images `[B, V, 3, H, W]` at full resolution; see `Encoder.pixels`."""
-        return self.encoder.pixels(images.flatten(0, 1)).unflatten(0, images.shape[:2])
 
     def fit_images(self, images: Tensor, camera: Camera, workspace: Workspace) -> tuple[Tensor, Camera]:
         """Brings images to the size that the network knows, as `MVNeRFConfig.image_size` says; arguments as above."""

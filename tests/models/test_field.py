@@ -1,5 +1,6 @@
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 import roma
@@ -9,7 +10,7 @@ from torch.nn.functional import grid_sample
 
 from nerfgrasp.geometry import Camera, invert, make_pose, project, transform
 from nerfgrasp.models import Field, FieldConfig
-from nerfgrasp.models.field import ViewMaps, encode
+from nerfgrasp.models.field import ViewMaps, encode, sample_maps
 
 SMALL = FieldConfig(width=16, view_blocks=2, fused_blocks=3, position_frequencies=5, direction_frequencies=3)
 
@@ -111,6 +112,42 @@ def test_variance_is_pooled_by_its_formula() -> None:
     field.pool_layer.weight.data = torch.tensor([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
     views = torch.tensor([[1.0, 2.0], [3.0, 8.0]])[None, :, None, None]
     torch.testing.assert_close(field._pool(views)[0, 0, 0], torch.tensor([2.0, 9.0]))
+
+
+def test_maps_are_sampled_as_grid_sample_does() -> None:
+    torch.manual_seed(0)
+    for height, width in ((2, 2), (7, 12)):
+        maps, grid = torch.randn(3, height, width, 5), 3.0 * torch.rand(3, 200, 2) - 1.5
+        grid[0, :4] = torch.tensor([[-1.0, -1.0], [1.0, 1.0], [0.0, 0.0], [1.0, -2.0]])
+        pairs = [(maps.clone().requires_grad_(), grid.clone().requires_grad_()) for _ in range(2)]
+        found = sample_maps(*pairs[0])
+        moved = pairs[1][0].movedim(-1, 1)
+        expected = grid_sample(moved, pairs[1][1][:, None], padding_mode="border", align_corners=False)[:, :, 0].mT
+        torch.testing.assert_close(found, expected)
+        weights = torch.randn_like(found)
+        for sampled in (found, expected):
+            (sampled * weights).sum().backward()
+        torch.testing.assert_close(pairs[0][0].grad, pairs[1][0].grad)
+        # At a border the one's slope may be taken on either side.
+        inside = (grid.abs() < 0.999 - 1 / width).all(-1)
+        torch.testing.assert_close(pairs[0][1].grad[inside], pairs[1][1].grad[inside], atol=1e-4, rtol=1e-4)
+
+
+def test_blended_colours_are_those_of_the_views(scene, queries) -> None:
+    field = Field(replace(SMALL, blend=4), 8)
+    field.readout.weight.data.zero_()
+    field.readout.bias.data = torch.tensor([0.0, 0.0, 0.0, 0.0, 50.0])
+    features, images, camera = scene
+    images = torch.tensor([0.1, 0.5, 0.9])[:, None, None].expand(2, 3, 3, 32, 32)
+    colour, _ = field(maps(field, (features, images, camera)), *queries)
+    torch.testing.assert_close(colour, torch.tensor([0.1, 0.5, 0.9]).expand_as(colour))
+    one_each = torch.tensor([0.2, 0.4, 0.8])[:, None, None, None].expand(2, 3, 3, 32, 32)
+    colour, _ = field(maps(field, (features, one_each, camera)), *queries)
+    assert ((colour >= 0.2) & (colour <= 0.8)).all()
+    assert colour.std() > 1e-3, "points choose among the views"
+    field.readout.bias.data[4] = -50.0
+    colour, _ = field(maps(field, scene), *queries)
+    torch.testing.assert_close(colour, torch.full_like(colour, 0.5))
 
 
 def test_moving_world_and_cameras_together_changes_nothing(scene, queries) -> None:

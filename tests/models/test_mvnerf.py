@@ -128,7 +128,7 @@ def test_images_of_another_size_are_cut_to_the_workspace(
     alone, own = crop_to_box(images[1], one, box.minimum, box.maximum, 32)
     assert torch.equal(fitted[1], alone)
     assert torch.equal(near.intrinsics[1], own.intrinsics)
-    assert network.observe(images, seen, box).fine.pixels.shape == (2, 3, 3, 32, 32)
+    assert network.observe(images, seen, box).fine.images.shape == (2, 3, 3, 32, 32)
 
 
 def test_images_of_the_known_size_are_left_alone(tiny_network: Callable[..., Any], views) -> None:

@@ -46,7 +46,7 @@ def test_the_cache_gives_what_observing_gives(backbone: MVNeRF, cameras: Callabl
     assert plain.coarse is None
     assert cached.fine.features.dtype == torch.float32
     torch.testing.assert_close(cached.fine.features, plain.fine.features, atol=2e-3, rtol=2e-3)
-    assert torch.equal(cached.fine.pixels, asked.inputs.images)
+    assert torch.equal(cached.fine.images, asked.inputs.images)
     assert torch.equal(cached.fine.camera.T_world_camera, asked.inputs.T_world_camera)
     assert not cached.fine.features.requires_grad
     assert not plain.fine.features.requires_grad
