@@ -14,11 +14,11 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import plain_mvnerf
 import torch
-import yaml
+from configs import network_config, read_configs
 from jsonargparse import auto_cli
 from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
@@ -27,11 +27,9 @@ from tqdm import trange
 from nerfgrasp.allocator import keep_freed_memory
 from nerfgrasp.geometry import Camera, look_at, pixel_centres, pixel_rays
 from nerfgrasp.models import MVNeRF, MVNeRFConfig, render_image
-from nerfgrasp.models.folder import from_plain
 from nerfgrasp.models.mvnerf import RayRenderings
 from nerfgrasp.scenes.scene import Workspace
 
-CONFIGS = Path(__file__).resolve().parent.parent / "configs"
 MATRIX = {torch.float32: 2048, torch.bfloat16: 1024}
 """Sides of the matrices whose products tell the machine's peak; bfloat16 is emulated, and slow, on some processors."""
 DISTANCE = 0.8
@@ -76,7 +74,7 @@ def main(
         memory_steps: so many fast steps more, to see whether memory grows; 0 for none.
     """
     keep_freed_memory()
-    settings = read_configs(configs)
+    settings = read_settings(configs)
     torch.manual_seed(0)
     model, batch = MVNeRF(settings.network).to(device), random_batch(settings, device)
     optimizer = torch.optim.Adam(model.parameters(), lr=1e-5)
@@ -117,17 +115,12 @@ def main(
         print_growth(lambda: step(fast), memory_steps, device)
 
 
-def read_configs(paths: list[Path]) -> Settings:
-    """Merges configs and returns what they say of the network and of a batch."""
-    merged: dict[str, Any] = {}
-    for path in paths:
-        found = path if path.is_file() else CONFIGS / path
-        merged = _laid_over(merged, yaml.safe_load(found.read_text()))
-    network = merged.get("model", {}).get("init_args", {}).get("network", {})
-    encoder = {**network.get("encoder", {}), "pretrained": False}
+def read_settings(configs: list[Path]) -> Settings:
+    """Returns what configs say of the network and of a batch."""
+    merged = read_configs(configs)
     data = merged["data"]["init_args"]
-    config = from_plain(MVNeRFConfig, {**network, "encoder": encoder})
-    return Settings(config, data.get("scenes_per_step", 1), data.get("rays_per_scene", 512), data["train"]["size"])
+    size = data["train"]["size"]
+    return Settings(network_config(merged), data.get("scenes_per_step", 1), data.get("rays_per_scene", 512), size)
 
 
 def random_batch(settings: Settings, device: str) -> Batch:
@@ -215,14 +208,6 @@ def peak_memory(device: str) -> float:
         return torch.cuda.max_memory_allocated()
     unit = 1 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
-
-
-def _laid_over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
-    merged = dict(below)
-    for key, value in above.items():
-        under = merged.get(key)
-        merged[key] = _laid_over(under, value) if isinstance(value, dict) and isinstance(under, dict) else value
-    return merged
 
 
 if __name__ == "__main__":
