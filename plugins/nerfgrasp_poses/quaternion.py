@@ -1,21 +1,20 @@
 """Position and unit quaternion, moved separately: the parameterization of the method's Algorithm 1."""
 
 import roma
-import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from nerfgrasp.geometry import make_pose
-from nerfgrasp.scenes.scene import Workspace
+from nerfgrasp_poses.decoupled import Decoupled
 
 
-class Quaternion:
-    """A pose as `position` `[..., 3]` in metres and `orientation` `[..., 4]`, a quaternion xyzw.
+class Quaternion(Decoupled):
+    """`orientation` `[..., 4]` is a quaternion xyzw.
 
-    The quaternion may have any length but zero: `decode` normalises it, so that an unconstrained gradient step
-    always lands on a pose, and `project` brings it back to length one.
+    It may have any length but zero: `decode` normalises it, so that an unconstrained gradient step always lands on a
+    pose, and `project` brings it back to length one.
 
     Example:
+        >>> import torch
         >>> pose = Quaternion()
         >>> params = pose.encode(torch.eye(4))
         >>> {name: value.tolist() for name, value in params.items()}
@@ -24,20 +23,14 @@ class Quaternion:
         True
     """
 
-    def encode(self, T: Tensor) -> dict[str, Tensor]:
-        """Returns the parameters of rigid transforms `T` `[..., 4, 4]`."""
-        return {"position": T[..., :3, 3], "orientation": roma.rotmat_to_unitquat(T[..., :3, :3])}
+    def orientation(self, R: Tensor) -> Tensor:
+        """Returns unit quaternions `[..., 4]`."""
+        return roma.rotmat_to_unitquat(R)
 
-    def decode(self, params: dict[str, Tensor]) -> Tensor:
-        """Returns the transforms `[..., 4, 4]` of parameters, whatever the quaternion's length."""
-        rotation = roma.unitquat_to_rotmat(normalize(params["orientation"], dim=-1))
-        return make_pose(rotation, params["position"])
+    def rotation(self, orientation: Tensor) -> Tensor:
+        """Returns the rotations of quaternions of any length but zero."""
+        return roma.unitquat_to_rotmat(normalize(orientation, dim=-1))
 
-    def project(self, params: dict[str, Tensor], workspace: Workspace) -> dict[str, Tensor]:
-        """Returns the nearest parameters whose position lies in `workspace` and whose quaternion is of length one."""
-        position = params["position"]
-        minimum, maximum = workspace.minimum.to(position), workspace.maximum.to(position)
-        return {
-            "position": torch.clamp(position, minimum, maximum),
-            "orientation": normalize(params["orientation"], dim=-1),
-        }
+    def tidy(self, orientation: Tensor) -> Tensor:
+        """Returns quaternions of length one."""
+        return normalize(orientation, dim=-1)
