@@ -4,7 +4,7 @@
 
 draws 64 scenes of a task from a seed kept out of every training set, gives a model the first views of each and renders
 four others at 128×128 and a focal length of 120 pixels. It prints the means over images of the PSNR over the pixels
-that show an object and over those whose rays meet the workspace and, with `--out`, keeps one JSON line a scene and model.
+that show an object and over those whose rays meet the workspace; with `--out` it keeps one JSON line a scene and model.
 Tasks that a model was never trained on are measured all the same.
 """
 

@@ -18,12 +18,12 @@ from typing import NamedTuple
 
 import plain_mvnerf
 import torch
-from configs import network_config, read_configs
 from jsonargparse import auto_cli
 from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 from tqdm import trange
 
+from configs import network_config, read_configs
 from nerfgrasp.allocator import keep_freed_memory
 from nerfgrasp.geometry import Camera, look_at, pixel_centres, pixel_rays
 from nerfgrasp.models import MVNeRF, MVNeRFConfig, render_image
