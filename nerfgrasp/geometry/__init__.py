@@ -5,7 +5,15 @@ coordinates in frame b to frame a as a 4x4 matrix, quaternions are xyzw, batch d
 centres lie at +0.5.
 """
 
-from nerfgrasp.geometry.cameras import Camera, look_at, pixel_centres, pixel_rays, project
+from nerfgrasp.geometry.cameras import (
+    Camera,
+    depth_along_axis,
+    look_at,
+    pixel_centres,
+    pixel_rays,
+    project,
+    shrink,
+)
 from nerfgrasp.geometry.crops import crop_to_box
 from nerfgrasp.geometry.frames import invert, is_rigid, make_pose, transform
 from nerfgrasp.geometry.rays import box_intersection
@@ -14,6 +22,7 @@ __all__ = [
     "Camera",
     "box_intersection",
     "crop_to_box",
+    "depth_along_axis",
     "invert",
     "is_rigid",
     "look_at",
@@ -21,5 +30,6 @@ __all__ = [
     "pixel_centres",
     "pixel_rays",
     "project",
+    "shrink",
     "transform",
 ]

@@ -87,3 +87,30 @@ def look_at(eye: Tensor, target: Tensor, up: Tensor | None = None) -> Tensor:
     right = normalize(torch.linalg.cross(forward, up.expand_as(forward)), dim=-1)
     down = torch.linalg.cross(forward, right)
     return make_pose(torch.stack([right, down, forward], dim=-1), eye)
+
+
+def depth_along_axis(camera: Camera, distance: Tensor) -> Tensor:
+    """Returns depth `[H, W]` along the optical axis of `distance` `[H, W]` along the pixels' rays, metres.
+
+    Args:
+        camera: batch shape `[]`.
+        distance: of the camera's size.
+    """
+    pixels = pixel_centres(camera.width, camera.height).to(camera.intrinsics).flatten(0, 1)
+    _, directions = pixel_rays(camera, pixels)
+    return distance * (directions @ camera.T_world_camera[:3, 2]).view_as(distance)
+
+
+def shrink(camera: Camera, longer_side: int) -> Camera:
+    """Returns cameras that see the same in fewer pixels, the aspect ratio kept as far as whole pixels allow.
+
+    Args:
+        camera: any batch shape; comes back as it is if it is not larger.
+        longer_side: of the smaller images, pixels.
+    """
+    scale = longer_side / max(camera.width, camera.height)
+    if scale >= 1:
+        return camera
+    width, height = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
+    ratio = torch.tensor([width / camera.width, height / camera.height, 1.0]).to(camera.intrinsics)
+    return Camera(camera.intrinsics * ratio[:, None], camera.T_world_camera, width, height)

@@ -116,7 +116,7 @@ def render_image(
     inside = far > near
     colour = origins.new_zeros(len(pixels), 3)
     depth = origins.new_zeros(len(pixels))
-    for chosen in inside.nonzero()[:, 0].split(chunk):
+    for chosen in inside.nonzero()[:, 0].split(chunk) if inside.any() else ():
         fine = model.render(features, origins[None, chosen], directions[None, chosen], workspace).fine
         colour[chosen], depth[chosen] = fine.colour[0], fine.depth[0]
     size = (camera.height, camera.width)

@@ -55,7 +55,7 @@ class Observations:
     def __len__(self) -> int:
         return self.images.shape[0]
 
-    def select(self, views: slice) -> "Observations":
+    def select(self, views: slice | list[int]) -> "Observations":
         """Returns the observations of some of the views."""
         depth = None if self.depth is None else self.depth[views]
         return Observations(self.images[views], self.camera[views], depth, self.truth)

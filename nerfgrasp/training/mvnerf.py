@@ -4,10 +4,10 @@ import torch
 from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from torch import Tensor
 from torchmetrics import MeanMetric
-from torchmetrics.functional.image import peak_signal_noise_ratio, structural_similarity_index_measure
 
 from nerfgrasp.data.rays import ImageBatch, RayBatch
 from nerfgrasp.models import MVNeRF, MVNeRFConfig, render_image
+from nerfgrasp.models.scores import image_scores
 from nerfgrasp.training.module import ScheduledTraining
 from nerfgrasp.training.schedule import LearningRate
 
@@ -67,22 +67,3 @@ class MVNeRFTraining(ScheduledTraining):
                 {"params": fields, "lr": self.learning_rate},
             ]
         )
-
-
-def image_scores(rendered: Tensor, truth: Tensor, inside: Tensor, objects: Tensor) -> dict[str, Tensor]:
-    """Returns one image's `psnr` and `ssim` over the workspace and `psnr_objects` over the objects' pixels.
-
-    Args:
-        rendered: `[3, H, W]` in [0, 1].
-        truth: `[3, H, W]`.
-        inside: `[H, W]` bool: pixels whose rays meet the workspace. Elsewhere the truth stands in.
-        objects: `[H, W]` bool: pixels that show an object. Without any, `psnr_objects` is left out.
-    """
-    rendered = torch.where(inside, rendered, truth)
-    scores = {
-        "psnr": peak_signal_noise_ratio(rendered[:, inside], truth[:, inside], data_range=1.0),
-        "ssim": structural_similarity_index_measure(rendered[None], truth[None], data_range=1.0),
-    }
-    if objects.any():
-        scores["psnr_objects"] = peak_signal_noise_ratio(rendered[:, objects], truth[:, objects], data_range=1.0)
-    return scores  # type: ignore[return-value]

@@ -51,10 +51,14 @@ def to_image(rgb: Tensor) -> Image.Image:
     return Image.fromarray((rgb.detach().clamp(0.0, 1.0) * 255).round().byte().cpu().numpy())
 
 
+def at_width(rgb: Tensor, width: int) -> Image.Image:
+    """Converts RGB `[H, W, 3]` in [0, 1] to an image of that width."""
+    height = max(1, round(width * rgb.shape[0] / rgb.shape[1]))
+    return to_image(rgb).resize((width, height), Image.Resampling.BICUBIC)
+
+
 def _render_panel(panel: Panel, T_world_grasp: Tensor) -> Image.Image:
-    height = round(PANEL_WIDTH * panel.camera.height / panel.camera.width)
-    enlarged = to_image(panel.image).resize((PANEL_WIDTH, height), Image.Resampling.BICUBIC)
-    drawn = draw_gripper(enlarged, panel.camera.to("cpu"), T_world_grasp)
+    drawn = draw_gripper(at_width(panel.image, PANEL_WIDTH), panel.camera.to("cpu"), T_world_grasp)
     return captioned(drawn, panel.title)
 
 

@@ -1,6 +1,6 @@
-"""A search as a Rerun recording: cameras, images, candidates that move, and their values."""
+"""Rerun recordings: a search with its candidates and their values, and rendered views with their depth."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +15,11 @@ from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.search.ascent import Trace
 from nerfgrasp.viz.figures import Panel
 from nerfgrasp.viz.gripper import gripper_strip
+from nerfgrasp.viz.renderings import RenderedView, grey_outside
 
 TIMELINE = "iteration"
+FRAMES = "frame"
+"""The timeline of an orbit."""
 MOST_CANDIDATES = 256
 _WINNER, _BOX = (255, 106, 19), (150, 150, 160)
 _CURVES = {"best": _WINNER, "median": (90, 130, 220)}
@@ -40,36 +43,100 @@ def record_search(
         grasps: the result, best first.
         imagined: renders, of one size and camera each.
     """
-    recording = rr.RecordingStream("nerfgrasp_optimize")
-    recording.save(path, default_blueprint=_blueprint(len(observations), len(imagined)))
-    recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    box = rr.Boxes3D(mins=[workspace.minimum.tolist()], sizes=[_size(workspace)], colors=[_BOX], radii=[0.0005])
-    recording.log("world/workspace", box, static=True)
-    images = observations.images.permute(0, 2, 3, 1)
-    for i in range(len(observations)):
-        _log_image(recording, f"world/camera_{i}", images[i], observations.camera[i])
+    names = [f"camera_{i}" for i in range(len(observations))]
+    blueprint = _blueprint(len(observations), len(imagined))
+    recording = _start("nerfgrasp_optimize", path, blueprint, workspace, observations, names)
     for i, panel in enumerate(imagined):
         _log_image(recording, f"world/imagined_{i}", panel.image, panel.camera)
     _log_trace(recording, trace)
     winner = gripper_strip(grasps.T_world_grasp[:1]).cpu().numpy()
     label = f"value {float(grasps.value[0]):.2f}"
     recording.log("world/grasp", rr.LineStrips3D(winner, colors=[_WINNER], radii=[0.004], labels=[label]), static=True)
+    _end(recording)
+
+
+def record_views(
+    path: Path, inputs: Observations, names: Sequence[str], workspace: Workspace, views: Mapping[str, RenderedView]
+) -> None:
+    """Writes rendered views as an `.rrd` file: each a camera with RGB, depth and, where it is known, the truth.
+
+    Args:
+        path: the file.
+        inputs: the views that the model saw.
+        names: of the inputs; entities are called by them.
+        workspace: where the scene is.
+        views: by name, each other than the inputs'.
+    """
+    recording = _start("nerfgrasp_render", path, _views_blueprint(views), workspace, inputs, names)
+    for name, view in views.items():
+        _log_view(recording, f"world/{name}", view, static=True)
+    _end(recording)
+
+
+def record_orbit(
+    path: Path, inputs: Observations, names: Sequence[str], workspace: Workspace, views: Sequence[RenderedView]
+) -> None:
+    """Writes an orbit as an `.rrd` file: one camera that moves over the timeline `frame`; otherwise as above."""
+    space = rrb.Spatial3DView(origin="world", name="scene")
+    layout = rrb.Horizontal(space, _view_layout("orbit", views[0]), column_shares=[3, 2])
+    blueprint = rrb.Blueprint(layout, rrb.TimePanel(timeline=FRAMES, state="expanded"), collapse_panels=True)
+    recording = _start("nerfgrasp_render", path, blueprint, workspace, inputs, names)
+    for frame, view in enumerate(views):
+        recording.set_time(FRAMES, sequence=frame)
+        _log_view(recording, "world/orbit", view, static=False)
+    _end(recording)
+
+
+def _start(
+    application: str,
+    path: Path,
+    blueprint: rrb.Blueprint,
+    workspace: Workspace,
+    inputs: Observations,
+    names: Sequence[str],
+) -> rr.RecordingStream:
+    """Opens a recording that holds what all have: the world's axes, the workspace and the input views."""
+    recording = rr.RecordingStream(application)
+    recording.save(path, default_blueprint=blueprint)
+    recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    box = rr.Boxes3D(mins=[workspace.minimum.tolist()], sizes=[_size(workspace)], colors=[_BOX], radii=[0.0005])
+    recording.log("world/workspace", box, static=True)
+    for name, image, i in zip(names, inputs.images.permute(0, 2, 3, 1), range(len(inputs)), strict=True):
+        _log_image(recording, f"world/{name}", image, inputs.camera[i])
+    return recording
+
+
+def _end(recording: rr.RecordingStream) -> None:
     recording.flush()
     recording.disconnect()
 
 
-def _log_image(recording: rr.RecordingStream, entity: str, image: Tensor, camera: Camera) -> None:
+def _log_view(recording: rr.RecordingStream, entity: str, view: RenderedView, *, static: bool) -> None:
+    _log_image(recording, entity, grey_outside(view.rgb, view.inside), view.camera, static=static)
+    depth = torch.where(view.inside, view.depth, torch.zeros_like(view.depth)).detach().cpu().numpy()
+    recording.log(f"{entity}/depth", rr.DepthImage(depth, meter=1.0), static=static)
+    if view.truth is not None:
+        recording.log(f"{entity}_truth/image", rr.Image(_bytes(view.truth)), static=static)
+
+
+def _log_image(
+    recording: rr.RecordingStream, entity: str, image: Tensor, camera: Camera, *, static: bool = True
+) -> None:
     T = camera.T_world_camera.detach().cpu().numpy()
-    recording.log(entity, rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]), static=True)
+    recording.log(entity, rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]), static=static)
     pinhole = rr.Pinhole(
         image_from_camera=camera.intrinsics.detach().cpu().numpy(),
         resolution=[camera.width, camera.height],
         camera_xyz=rr.ViewCoordinates.RDF,
         image_plane_distance=0.1,
     )
-    pixels = (image.detach().clamp(0.0, 1.0) * 255).round().byte().cpu().numpy()
-    recording.log(entity, pinhole, static=True)
-    recording.log(f"{entity}/image", rr.Image(pixels), static=True)
+    recording.log(entity, pinhole, static=static)
+    recording.log(f"{entity}/image", rr.Image(_bytes(image)), static=static)
+
+
+def _bytes(image: Tensor) -> NDArray[np.uint8]:
+    pixels: NDArray[np.uint8] = (image.detach().clamp(0.0, 1.0) * 255).round().byte().cpu().numpy()
+    return pixels
 
 
 def _log_trace(recording: rr.RecordingStream, trace: Trace) -> None:
@@ -112,3 +179,17 @@ def _blueprint(views: int, imagined: int) -> rrb.Blueprint:
     space = rrb.Spatial3DView(origin="world", name="search")
     layout = rrb.Horizontal(space, right, column_shares=[3, 2])
     return rrb.Blueprint(layout, rrb.TimePanel(timeline=TIMELINE, state="expanded"), collapse_panels=True)
+
+
+def _views_blueprint(views: Mapping[str, RenderedView]) -> rrb.Blueprint:
+    """The 3D view left; a tab for each rendered view right."""
+    tabs = rrb.Tabs(*[_view_layout(name, view) for name, view in views.items()])
+    space = rrb.Spatial3DView(origin="world", name="scene")
+    return rrb.Blueprint(rrb.Horizontal(space, tabs, column_shares=[3, 2]), collapse_panels=True)
+
+
+def _view_layout(name: str, view: RenderedView) -> rrb.Container:
+    shown = [("rendered", f"world/{name}/image"), ("depth", f"world/{name}/depth")]
+    if view.truth is not None:
+        shown.insert(0, ("truth", f"world/{name}_truth/image"))
+    return rrb.Vertical(*[rrb.Spatial2DView(origin=origin, name=title) for title, origin in shown], name=name)

@@ -2,7 +2,16 @@ import pytest
 import torch
 from torch import Tensor
 
-from nerfgrasp.geometry import Camera, is_rigid, look_at, pixel_centres, pixel_rays, project
+from nerfgrasp.geometry import (
+    Camera,
+    depth_along_axis,
+    is_rigid,
+    look_at,
+    pixel_centres,
+    pixel_rays,
+    project,
+    shrink,
+)
 
 DTYPES = (torch.float32, torch.float64)
 
@@ -107,3 +116,20 @@ def test_indexing_selects_cameras() -> None:
     assert torch.equal(camera[torch.tensor([3, 0])].T_world_camera, camera.T_world_camera[[3, 0]])
     assert camera[2].intrinsics.shape == (3, 3)
     assert [each.intrinsics[0, 0].item() for each in camera] == [11.0, 12.0, 13.0, 14.0]
+
+
+def test_a_shrunk_camera_sees_the_same() -> None:
+    camera = example_camera()
+    points = torch.tensor([[0.05, 0.1, 0.02]], dtype=torch.float64).expand(4, 1, 3)
+    small = shrink(camera, 6)
+    assert (small.width, small.height) == (6, 5)
+    assert torch.allclose(project(small, points)[0] * 2, project(camera, points)[0])
+    assert shrink(camera, 12) is camera
+
+
+def test_distances_along_rays_become_depths_along_the_axis() -> None:
+    camera = example_camera()[0]
+    origins, directions = pixel_rays(camera, pixel_centres(12, 10).double().flatten(0, 1))
+    distance = torch.linspace(0.3, 1.2, 120, dtype=torch.float64)
+    _, depth = project(camera, origins + distance[:, None] * directions)
+    assert torch.allclose(depth_along_axis(camera, distance.view(10, 12)), depth.view(10, 12))

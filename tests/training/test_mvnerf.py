@@ -1,4 +1,3 @@
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,6 @@ import torch
 from nerfgrasp.data.rays import RayData
 from nerfgrasp.data.streams import SceneSet
 from nerfgrasp.training import MVNeRFTraining
-from nerfgrasp.training.mvnerf import image_scores
 from nerfgrasp.training.schedule import LearningRate
 
 CONSTANT = LearningRate(warmup_steps=0, decay="constant")
@@ -69,19 +67,3 @@ def test_two_learning_rates(tiny_network: Callable[..., Any]) -> None:
     encoder, fields = optimizer.param_groups
     assert (encoder["lr"], fields["lr"]) == (0.1, 0.2)
     assert len(encoder["params"]) + len(fields["params"]) == len(list(module.network.parameters()))
-
-
-def test_scores_by_hand() -> None:
-    truth = torch.full((3, 16, 16), 0.5)
-    rendered = truth.clone()
-    inside, objects = torch.zeros(16, 16, dtype=torch.bool), torch.zeros(16, 16, dtype=torch.bool)
-    inside[:8], objects[:2] = True, True
-    rendered[:, :2] += 0.1  # a quarter of the inside
-    rendered[:, 8:] = 0.0  # outside: not judged
-    scores = image_scores(rendered, truth, inside, objects)
-    assert float(scores["psnr_objects"]) == pytest.approx(20.0, abs=1e-3)
-    assert float(scores["psnr"]) == pytest.approx(20.0 + 10 * math.log10(4), abs=1e-3)
-    assert 0.0 < float(scores["ssim"]) < 1.0
-    assert "psnr_objects" not in image_scores(rendered, truth, inside, torch.zeros_like(objects))
-    same = image_scores(torch.where(inside, truth, rendered), truth, inside, objects)
-    assert float(same["ssim"]) == pytest.approx(1.0)
