@@ -42,6 +42,24 @@ def test_times_come_back_as_they_were(tmp_path: Path) -> None:
     assert read_times(path) == times
 
 
+def test_compressed_results_come_back_as_they_were_and_are_the_same_bytes(rows: list[Row], tmp_path: Path) -> None:
+    path, again = tmp_path / "some.results.jsonl.gz", tmp_path / "again.jsonl.gz"
+    write_results(path, rows)
+    write_results(again, rows)
+    assert read_results(path) == rows
+    assert path.read_bytes() == again.read_bytes()
+    assert times_path(path).name == "some.results.times.jsonl.gz"
+
+
+@pytest.mark.parametrize("keep", [0, 40, -4])
+def test_damaged_compressed_results_are_told(keep: int, rows: list[Row], tmp_path: Path) -> None:
+    path = tmp_path / "results.jsonl.gz"
+    write_results(path, rows)
+    path.write_bytes(path.read_bytes()[:keep] or b"{}")
+    with pytest.raises(UserError, match="cannot read .*results.jsonl.gz: "):
+        read_results(path)
+
+
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
