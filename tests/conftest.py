@@ -157,7 +157,7 @@ CUBE_FACES = {"top": (2, 6, 8, 4), "bottom": (1, 3, 7, 5), "sides": (1, 5, 6, 2)
 CUBE_FACES |= {"side 3": (7, 3, 4, 8), "side 4": (3, 1, 2, 4)}
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_box() -> Callable[..., Path]:
     """Returns a function that writes a box as a textured OBJ: red on top, green below, blue all around.
 
@@ -189,7 +189,7 @@ def make_box() -> Callable[..., Path]:
 @pytest.fixture(scope="module")
 def ray_cluster() -> Iterator[None]:
     """One machine with one processor, as a Ray cluster."""
-    ray = pytest.importorskip("ray", reason="Ray comes with the extra `cluster`")
+    ray = pytest.importorskip("ray", reason="Ray comes with the extras `cluster` and `dev`")
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     ray.init(num_cpus=1, include_dashboard=False, log_to_driver=False, object_store_memory=80_000_000)
     yield

@@ -39,7 +39,7 @@ def evaluate(
         method: a registered method (`nerfgrasp plugins list`), or a model's folder or shipped name.
         scenes: how many scenes.
         seed: a set's scenes are the first of an endless sequence that the seed names; take one that was not trained on.
-        out: the results file, e.g. `results.jsonl`.
+        out: the results file, e.g. `results.jsonl`; compressed if its name ends in `.gz`.
         workers: number of processes; one a core if not given.
         cluster: `ray` tries on a Ray cluster, whose machines all see the model and the objects.
         objects: for `novel`: a folder of URDFs or meshes; the one that NERFGRASP_OBJECTS names if not given, or else

@@ -9,7 +9,6 @@ import torch
 from torch import nn
 
 from nerfgrasp import registry
-from nerfgrasp.allocator import keep_freed_memory
 from nerfgrasp.errors import UserError, unknown_name
 from nerfgrasp.files import read_json
 from nerfgrasp.models.folder import find_model, weights_hash
@@ -68,8 +67,6 @@ def load_method(name: str, folder: str | None) -> Method:
     if folder is None and parameter.default is Parameter.empty:
         raise UserError(f"method {name!r} needs a model: give the model's folder instead of the method's name")
     method: Method = loader() if folder is None else loader(folder)
-    if isinstance(getattr(method, "model", None), nn.Module):
-        keep_freed_memory()
     return method
 
 

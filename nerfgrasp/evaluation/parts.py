@@ -41,12 +41,13 @@ class Parts:
         """
         make_folder(self.folder)
         remove_temporaries(self.folder)
-        for left in self.out.parent.glob(f".{self.out.stem}*.tmp"):
-            remove(left)
-        path = self.folder / SETTINGS_FILE
-        if not path.exists():
-            write_json(path, self.settings)
-        self._check(read_json(path))
+        for path in (self.out, times_path(self.out)):
+            for left in path.parent.glob(f".{path.name}.*.tmp"):
+                remove(left)
+        settings = self.folder / SETTINGS_FILE
+        if not settings.exists():
+            write_json(settings, self.settings)
+        self._check(read_json(settings))
 
     def discard(self) -> None:
         """Removes what a run left that was killed after it had published; another command's folder stays."""

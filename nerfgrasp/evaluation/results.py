@@ -1,7 +1,12 @@
-"""Results as JSON lines, one an attempt: everything needed to repeat it, and nothing that varies between repeats."""
+"""Results as JSON lines, one an attempt: everything needed to repeat it, and nothing that varies between repeats.
 
+A file whose name ends in `.gz` is compressed, which makes it a sixth as large.
+"""
+
+import gzip
 import json
 import os
+import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -11,6 +16,7 @@ from nerfgrasp.errors import UserError
 from nerfgrasp.files import replacing
 
 FORMAT_VERSION = 1
+COMPRESSED = ".gz"
 Line = TypeVar("Line", "Row", "Times")
 
 
@@ -79,7 +85,8 @@ def times_path(results: Path) -> Path:
         >>> times_path(Path("runs/results.jsonl")).name
         'results.times.jsonl'
     """
-    return results.with_name(f"{results.stem}.times{results.suffix}")
+    suffix = "".join(results.suffixes[-2:]) if results.suffix == COMPRESSED else results.suffix
+    return results.with_name(f"{results.name.removesuffix(suffix)}.times{suffix}")
 
 
 def write_results(path: Path, rows: Iterable[Row]) -> None:
@@ -125,18 +132,23 @@ def times_from_json(data: Any) -> Times:
 
 
 def _write_lines(path: Path, lines: Iterable[dict[str, Any]]) -> None:
-    with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
-        file.writelines(json.dumps(line, allow_nan=False) + "\n" for line in lines)
+    data = "".join(json.dumps(line, allow_nan=False) + "\n" for line in lines).encode()
+    if path.suffix == COMPRESSED:
+        # Without the time of day in it: the same results are the same bytes.
+        data = gzip.compress(data, mtime=0)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write(data)
         file.flush()
         os.fsync(file.fileno())
 
 
 def _read_lines(path: Path, parse: Callable[[Any], Line]) -> list[Line]:
     try:
-        text = path.read_text(encoding="utf-8")
+        data = path.read_bytes()
+        text = (gzip.decompress(data) if path.suffix == COMPRESSED else data).decode()
     except FileNotFoundError as error:
         raise UserError(f"{path}: no such file") from error
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
         raise UserError(f"cannot read {path}: {error}") from error
     lines: dict[tuple[int, int], Line] = {}
     for number, text_line in enumerate(text.splitlines(), start=1):

@@ -13,10 +13,12 @@ from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Gripper
 from nerfgrasp.scenes.objects import SceneObject
 from nerfgrasp.scenes.oracle import sample_top_down, valid_grasps
 from nerfgrasp.scenes.scene import Truth
+from nerfgrasp.sim.bullet import Pose
+from nerfgrasp.sim.hand import Hand
 from nerfgrasp.sim.physics import PHYSICS, Physics
 from nerfgrasp.sim.settling import moved, rest
 from nerfgrasp.sim.tasks import scene_generator, workspace
-from nerfgrasp.sim.world import Hand, Pose, World
+from nerfgrasp.sim.world import World
 
 DEMONSTRATION_TRIES = 5
 _UP = np.array([0.0, 0.0, 1.0])

@@ -11,10 +11,12 @@ from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Gripper
 from nerfgrasp.scenes.prisms import Prism
 from nerfgrasp.scenes.scene import Truth
 from nerfgrasp.sim.attempt import Attempt, attempt_grasp
+from nerfgrasp.sim.bullet import Pose
+from nerfgrasp.sim.hand import Hand
 from nerfgrasp.sim.physics import PHYSICS, Physics
 from nerfgrasp.sim.settling import moved
 from nerfgrasp.sim.shapes import rectangle
-from nerfgrasp.sim.world import Hand, Pose, World
+from nerfgrasp.sim.world import World
 
 BODY_COLOUR, FINGER_COLOUR = (0.23, 0.24, 0.27), (0.12, 0.12, 0.14)
 """RGB in [0, 1]."""

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Literal, overload
 
 import numpy as np
-import roma
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -13,7 +12,7 @@ from nerfgrasp.scenes.meshes import MeshObject
 from nerfgrasp.scenes.objects import SceneObject
 from nerfgrasp.scenes.prisms import Polygon, Prism
 from nerfgrasp.scenes.scene import Truth
-from nerfgrasp.sim.bullet import p
+from nerfgrasp.sim.bullet import p, quaternion
 from nerfgrasp.sim.tasks import scene_generator
 
 NEAR, FAR = 0.05, 4.0
@@ -174,7 +173,7 @@ def _add_mesh(client: int, thing: MeshObject) -> None:
     p.createMultiBody(
         baseVisualShapeIndex=shape,
         basePosition=thing.T_world_object[:3, 3].tolist(),
-        baseOrientation=roma.rotmat_to_unitquat(thing.T_world_object[:3, :3].double()).tolist(),
+        baseOrientation=quaternion(thing.T_world_object[:3, :3].double().numpy()),
         physicsClientId=client,
     )
 

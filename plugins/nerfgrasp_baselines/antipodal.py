@@ -19,6 +19,7 @@ from nerfgrasp.sim.physics import PHYSICS
 from nerfgrasp_baselines.oracle import grasp_score, known_truth
 from nerfgrasp_baselines.surfaces import Surface, has_room, sample_surface
 from nerfgrasp_baselines.trying import first_success
+from nerfgrasp_baselines.untrained import Untrained
 
 PAIRS = 256
 """Opposite points that are looked at closer."""
@@ -32,7 +33,7 @@ MAX_RAISE = 0.015
 """Metres by which the hand may be drawn back from the table, so that the points lie lower on its pads."""
 
 
-class Antipodal:
+class Antipodal(Untrained):
     """Draws pairs of opposite points, finds the open gripper room, and proposes the first that lifts in physics."""
 
     needs: ClassVar[frozenset[str]] = frozenset({"truth"})
@@ -40,11 +41,6 @@ class Antipodal:
 
     def __init__(self, tries: int = 50) -> None:
         self.tries = tries
-
-    @classmethod
-    def from_pretrained(cls, folder: str | None = None) -> "Antipodal":
-        """Returns the method; there is nothing to load, so `folder` is not read."""
-        return cls()
 
     def propose(
         self, observations: Observations, workspace: Workspace, *, generator: torch.Generator, count: int = 1

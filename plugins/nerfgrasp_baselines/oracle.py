@@ -16,6 +16,7 @@ from nerfgrasp.scenes.scene import Grasps, Observations, Truth, Workspace
 from nerfgrasp.scenes.stances import MAX_TILT
 from nerfgrasp_baselines.surfaces import centres_of_mass, has_room, sample_surface
 from nerfgrasp_baselines.trying import first_success
+from nerfgrasp_baselines.untrained import Untrained
 
 DRAWS = 160
 """Valid grasps from above; each is tilted once more at random."""
@@ -23,7 +24,7 @@ OFF_CENTRE, TILTED = 0.02, math.radians(30.0)
 """Metres from the nearest centre of mass, seen from above, and radians of tilt that cost a grasp one unit."""
 
 
-class Oracle:
+class Oracle(Untrained):
     """Draws valid grasps, sorts them by how well they should hold, and proposes the first that lifts in physics."""
 
     needs: ClassVar[frozenset[str]] = frozenset({"truth"})
@@ -31,11 +32,6 @@ class Oracle:
 
     def __init__(self, tries: int = 40) -> None:
         self.tries = tries
-
-    @classmethod
-    def from_pretrained(cls, folder: str | None = None) -> "Oracle":
-        """Returns the method; there is nothing to load, so `folder` is not read."""
-        return cls()
 
     def propose(
         self, observations: Observations, workspace: Workspace, *, generator: torch.Generator, count: int = 1

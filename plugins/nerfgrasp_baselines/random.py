@@ -6,18 +6,14 @@ import torch
 
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.search.candidates import random_candidates
+from nerfgrasp_baselines.untrained import Untrained
 
 
-class Random:
+class Random(Untrained):
     """Draws poses as the search draws its candidates, without a look at the scene."""
 
     needs: ClassVar[frozenset[str]] = frozenset()
     """It uses nothing that it sees."""
-
-    @classmethod
-    def from_pretrained(cls, folder: str | None = None) -> "Random":
-        """Returns the method; there is nothing to load, so `folder` is not read."""
-        return cls()
 
     def propose(
         self, observations: Observations, workspace: Workspace, *, generator: torch.Generator, count: int = 1

@@ -1,21 +1,23 @@
 import os
-import signal
-import subprocess
-import sys
-import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from joblib.externals.loky import get_reusable_executor
 
 from nerfgrasp import cli
 from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.results import read_results, read_times, times_path
+from nerfgrasp.models.folder import load_model, save_model, weights_hash
+from nerfgrasp.models.grasp_value import GraspValue, GraspValueConfig
 
 pytest.importorskip("pybullet")
 
 from nerfgrasp.commands.evaluate import evaluate
+from nerfgrasp.evaluation import parts
 from nerfgrasp.evaluation.parts import Parts
 from nerfgrasp.evaluation.trials import Trials
 from nerfgrasp.sim.tasks import find_task
@@ -31,26 +33,48 @@ def unbroken(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def start(out: Path, workers: int, before: str = "") -> subprocess.Popen[bytes]:
-    """Makes the small results in a process, and a process group, of its own."""
-    call = f"evaluate(**{SMALL!r}, out=Path({str(out)!r}), workers={workers})"
-    script = f"from pathlib import Path\nfrom nerfgrasp.commands.evaluate import evaluate\n{before}\n{call}"
-    return subprocess.Popen([sys.executable, "-c", script], start_new_session=True)
+@dataclass(frozen=True)
+class Case:
+    """An evaluation, and what it gives in one go and one process."""
+
+    arguments: dict[str, Any]
+    unbroken: Path
 
 
-KILLED_WHILE_WRITING = """
-import os, signal
-from nerfgrasp.evaluation import parts
-write_json, written = parts.write_json, []
-def dying(path, data):
-    written.append(path)
-    if len(written) == 4:
-        path.with_name(f".{path.name}.{os.getpid()}.tmp").write_text("half")
-        os.kill(os.getpid(), signal.SIGKILL)
-    write_json(path, data)
-parts.write_json = dying
-"""
-"""The first that is written are the settings."""
+@pytest.fixture(scope="module", autouse=True)
+def _workers_of_these_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Prepared object models go to a fresh folder, in worker processes too: earlier ones know another."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        get_reusable_executor().shutdown(kill_workers=True)
+        yield
+        get_reusable_executor().shutdown(kill_workers=True)
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory, tiny_network: Any) -> Path:
+    """A grasp value that has learned nothing."""
+    torch.manual_seed(0)
+    folder = tmp_path_factory.mktemp("psi") / "model"
+    save_model(folder, GraspValue(GraspValueConfig(tiny_network())))
+    return folder
+
+
+@pytest.fixture(scope="module", params=["simple", "clutter", "novel", "psi"])
+def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Case:
+    """Every task, and both a method that knows the truth and one that learns."""
+    if request.param == "simple":
+        return Case(SMALL, request.getfixturevalue("unbroken"))
+    folder, changes = tmp_path_factory.mktemp(request.param), {"task": request.param, "scenes": 2}
+    if request.param == "novel":
+        request.getfixturevalue("make_box")(folder / "things")
+        changes |= {"method": "antipodal", "objects": folder / "things", "scenes": 3}
+    if request.param == "psi":
+        changes |= {"task": "simple", "method": str(request.getfixturevalue("model"))}
+    arguments = {**SMALL, **changes}
+    evaluate(**arguments, out=folder / "results.jsonl", workers=1)
+    return Case(arguments, folder / "results.jsonl")
+
 
 KILLED_WHILE_PUBLISHING = """
 import os, signal
@@ -71,41 +95,44 @@ def test_every_attempt_is_a_line_in_scene_order(unbroken: Path) -> None:
     assert sorted(path.name for path in unbroken.parent.iterdir()) == ["results.jsonl", "results.times.jsonl"]
 
 
+@pytest.mark.usefixtures("ray_cluster")
+def test_a_cluster_changes_no_byte(case: Case, tmp_path: Path) -> None:
+    evaluate(**case.arguments, out=tmp_path / "results.jsonl", workers=2, cluster="ray")
+    assert (tmp_path / "results.jsonl").read_bytes() == case.unbroken.read_bytes()
+
+
+def test_two_workers_killed_at_any_time_and_continued(
+    case: Case, tmp_path: Path, run_until_killed: Callable[..., None]
+) -> None:
+    out = tmp_path / "results.jsonl"
+    run_until_killed(
+        evaluate, **case.arguments, out=out, workers=2, until=lambda: any(tmp_path.glob("*.parts/0*.json"))
+    )
+    evaluate(**case.arguments, out=out, workers=2)
+    assert out.read_bytes() == case.unbroken.read_bytes()
+
+
 def test_two_workers_change_no_byte(unbroken: Path, tmp_path: Path) -> None:
     evaluate(**SMALL, out=tmp_path / "results.jsonl", workers=2)
     assert (tmp_path / "results.jsonl").read_bytes() == unbroken.read_bytes()
 
 
-@pytest.mark.usefixtures("ray_cluster")
-def test_a_cluster_changes_no_byte(unbroken: Path, tmp_path: Path) -> None:
-    evaluate(**SMALL, out=tmp_path / "results.jsonl", workers=2, cluster="ray")
-    assert (tmp_path / "results.jsonl").read_bytes() == unbroken.read_bytes()
-
-
-@pytest.mark.parametrize(("when", "finished"), [(KILLED_WHILE_WRITING, 2), (KILLED_WHILE_PUBLISHING, 5)])
-def test_killed_and_continued(when: str, finished: int, unbroken: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("when", "finished"),
+    # The first that is written are the settings.
+    [({"writing": (parts, 4)}, 2), ({"before": KILLED_WHILE_PUBLISHING}, 5)],
+    ids=["writing", "publishing"],
+)
+def test_killed_and_continued(
+    when: dict[str, Any], finished: int, unbroken: Path, tmp_path: Path, run_until_killed: Callable[..., None]
+) -> None:
     out = tmp_path / "results.jsonl"
-    assert start(out, 1, when).wait(timeout=300) == -signal.SIGKILL
-    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "results.jsonl.parts").glob("[0-9]*.json")}
-    assert len(kept) == finished
+    run_until_killed(evaluate, **SMALL, out=out, workers=1, **when)
+    assert len(list((tmp_path / "results.jsonl.parts").glob("[0-9]*.json"))) == finished
     assert not out.exists()
     evaluate(**SMALL, out=out, workers=1)
     assert out.read_bytes() == unbroken.read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["results.jsonl", "results.times.jsonl"]
-
-
-def test_two_workers_killed_at_any_time_and_continued(unbroken: Path, tmp_path: Path) -> None:
-    out = tmp_path / "results.jsonl"
-    process = start(out, 2)
-    try:
-        deadline = time.monotonic() + 300
-        while not list(tmp_path.glob("*.parts/0*.json")) and time.monotonic() < deadline:
-            time.sleep(0.005)
-    finally:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-    evaluate(**SMALL, out=out, workers=2)
-    assert out.read_bytes() == unbroken.read_bytes()
 
 
 def test_fewer_scenes_are_the_first_of_more(unbroken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -156,6 +183,7 @@ def test_the_parts_of_another_command_are_refused(tmp_path: Path) -> None:
         ({"method": "orcale"}, "unknown method (and no model) 'orcale': did you mean 'oracle'?"),
         ({"method": "no/such/folder"}, "unknown model (no folder, and none shipped by that name) 'no/such/folder'"),
         ({"objects": Path("here")}, "only 'novel' takes a folder"),
+        ({"task": "novel", "objects": Path(__file__).parent}, "commands: neither a URDF nor a mesh"),
         ({"cluster": "rya"}, "'cluster': "),
         ({"scenes": 0}, "scenes is 0: it must be from 1 to"),
         ({"seed": -1}, "seed is -1"),
@@ -199,15 +227,9 @@ def test_a_read_only_folder_is_told(tmp_path: Path) -> None:
         evaluate(**SMALL, out=tmp_path / "results.jsonl")
 
 
-def test_a_model_is_named_by_its_weights(tmp_path: Path, tiny_network: Any) -> None:
-    from nerfgrasp.models.folder import save_model, weights_hash
-    from nerfgrasp.models.grasp_value import GraspValue, GraspValueConfig
-
-    torch.manual_seed(0)
-    model = GraspValue(GraspValueConfig(tiny_network()))
-    save_model(tmp_path / "model", model)
-    out = tmp_path / "results.jsonl"
-    evaluate(**{**SMALL, "method": str(tmp_path / "model"), "scenes": 1}, out=out, workers=1)
-    (row,) = read_results(out)
-    assert (row.method, row.model) == ("psi", weights_hash(model)[:16])
-    assert str(tmp_path) not in out.read_text()
+@pytest.mark.parametrize("case", ["psi"], indirect=True)
+def test_a_model_is_named_by_its_weights(case: Case, model: Path) -> None:
+    first, second = read_results(case.unbroken)
+    assert (first.method, first.model) == ("psi", weights_hash(load_model(model))[:16])
+    assert second.model == first.model
+    assert str(model.parent) not in case.unbroken.read_text()

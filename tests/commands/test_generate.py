@@ -1,8 +1,4 @@
 import os
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +9,7 @@ import torch
 
 from nerfgrasp.commands import generate as command
 from nerfgrasp.commands.generate import generate
+from nerfgrasp.data import packed
 from nerfgrasp.data.packed import PackedScenes, PackedWriter
 from nerfgrasp.errors import UserError
 from nerfgrasp.scenes.folder import read_scene
@@ -36,27 +33,6 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def start(folder: Path, workers: int, before: str = "") -> subprocess.Popen[bytes]:
-    """Generates the small set in a process, and a process group, of its own."""
-    call = f"generate(**{SMALL!r}, out=Path({str(folder)!r}), workers={workers})"
-    script = f"from pathlib import Path\nfrom nerfgrasp.commands.generate import generate\n{before}\n{call}"
-    return subprocess.Popen([sys.executable, "-c", script], start_new_session=True)
-
-
-KILLED_WHILE_WRITING = """
-import os, signal
-from nerfgrasp.data import packed
-write_json, written = packed.write_json, []
-def dying(path, data):
-    written.append(path)
-    if len(written) == 3:
-        path.with_name(f".{path.name}.{os.getpid()}.tmp").write_text("half")
-        os.kill(os.getpid(), signal.SIGKILL)
-    write_json(path, data)
-packed.write_json = dying
-"""
-
-
 def test_the_set_is_complete(unbroken: Path) -> None:
     scenes = PackedScenes(unbroken)
     assert len(scenes) == 6
@@ -69,9 +45,11 @@ def test_the_set_is_complete(unbroken: Path) -> None:
     assert len({images.tobytes() for images in scenes.images}) == 6
 
 
-def test_killed_while_writing_and_continued(unbroken: Path, tmp_path: Path) -> None:
-    process = start(tmp_path / "set", 1, KILLED_WHILE_WRITING)
-    assert process.wait(timeout=300) == -signal.SIGKILL
+def test_killed_while_writing_and_continued(
+    unbroken: Path, tmp_path: Path, run_until_killed: Callable[..., None]
+) -> None:
+    # The third that is written is the third scene's truth.
+    run_until_killed(generate, **SMALL, out=tmp_path / "set", workers=1, writing=(packed, 3))
     assert len(list((tmp_path / "set" / "scenes").glob("*.json"))) == 2
     with pytest.raises(UserError, match="4 of 6 scenes are missing"):
         PackedScenes(tmp_path / "set")
@@ -80,16 +58,13 @@ def test_killed_while_writing_and_continued(unbroken: Path, tmp_path: Path) -> N
     assert contents(tmp_path / "set") == contents(unbroken)
 
 
-def test_two_workers_killed_at_any_time_and_continued(unbroken: Path, tmp_path: Path) -> None:
-    process = start(tmp_path / "set", 2)
-    try:
-        deadline = time.monotonic() + 300
-        while not list((tmp_path / "set").glob("scenes/*.json")) and time.monotonic() < deadline:
-            time.sleep(0.005)
-    finally:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+def test_two_workers_killed_at_any_time_and_continued(
+    unbroken: Path, tmp_path: Path, run_until_killed: Callable[..., None]
+) -> None:
+    def begun() -> bool:
+        return any((tmp_path / "set").glob("scenes/*.json"))
 
+    run_until_killed(generate, **SMALL, out=tmp_path / "set", workers=2, until=begun)
     generate(**SMALL, out=tmp_path / "set", workers=2)
     assert contents(tmp_path / "set") == contents(unbroken)
 
@@ -100,7 +75,7 @@ def test_the_number_of_workers_changes_nothing(unbroken: Path, tmp_path: Path) -
 
 
 def test_a_cluster_started_for_it_changes_nothing(unbroken: Path, tmp_path: Path) -> None:
-    ray = pytest.importorskip("ray", reason="Ray comes with the extra `cluster`")
+    ray = pytest.importorskip("ray", reason="Ray comes with the extras `cluster` and `dev`")
     generate(**SMALL, out=tmp_path / "set", workers=2, cluster="ray")
     assert contents(tmp_path / "set") == contents(unbroken)
     assert not ray.is_initialized(), "what was started for the set is stopped"

@@ -7,7 +7,7 @@ import pytest
 
 from nerfgrasp.evaluation.results import Row, Times, times_path, write_results, write_times
 
-BASE = Row(
+ROW = Row(
     set="simple-7",
     task="simple",
     seed=7,
@@ -35,7 +35,7 @@ def attempts() -> Callable[..., list[Row]]:
 
     def make(*scenes: Sequence[str], **changes: Any) -> list[Row]:
         return [
-            replace(BASE, scene=scene, attempt=attempt, outcome=outcome, scene_sha256=f"{scene}-{attempt}", **changes)
+            replace(ROW, scene=scene, attempt=attempt, outcome=outcome, scene_sha256=f"{scene}-{attempt}", **changes)
             for scene, outcomes in enumerate(scenes)
             for attempt, outcome in enumerate(outcomes)
         ]

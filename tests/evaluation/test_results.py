@@ -1,5 +1,6 @@
 import json
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,35 +17,22 @@ from nerfgrasp.evaluation.results import (
     write_times,
 )
 
-ROW = Row(
-    set="simple-100",
-    task="simple",
-    seed=100,
-    scene=3,
-    attempt=0,
-    method="oracle",
-    model=None,
-    scene_sha256="0123456789abcdef",
-    physics="fedcba9876543210",
-    objects=("box", "cylinder"),
-    grasp={"position": [0.1, 0.0, 0.05], "quaternion": [1.0, 0.0, 0.0, 0.0]},
-    value=-0.5,
-    outcome="success",
-    object=1,
-    lifted_mm=99.5,
-    dropped=(),
-    errors={"distance_mm": 0.0, "angle_deg": 1.5},
-    versions={"nerfgrasp": "0.3", "torch": "2.8", "pybullet": "3.2.7"},
-)
-BARE = replace(ROW, scene=4, model="0" * 16, grasp=None, value=None, outcome="no_grasp", object=None, errors=None)
+NOTHING: dict[str, Any] = dict.fromkeys(("grasp", "value", "object", "errors"))
 
 
-def test_rows_come_back_as_they_were(tmp_path: Path) -> None:
-    write_results(tmp_path / "results.jsonl", [ROW, BARE])
-    assert read_results(tmp_path / "results.jsonl") == [ROW, BARE]
+@pytest.fixture
+def rows(attempts: Callable[..., list[Row]]) -> list[Row]:
+    """A success, and in the next scene nothing proposed, by a model."""
+    success, failure = attempts(["success"], ["no_grasp"], objects=("box", "cylinder"))
+    return [success, replace(failure, model="0" * 16, **NOTHING)]
+
+
+def test_rows_come_back_as_they_were(rows: list[Row], tmp_path: Path) -> None:
+    write_results(tmp_path / "results.jsonl", rows)
+    assert read_results(tmp_path / "results.jsonl") == rows
     first = json.loads((tmp_path / "results.jsonl").read_text().splitlines()[0])
     assert first["format"] == 1
-    assert (first["set"], first["objects"], first["dropped"]) == ("simple-100", ["box", "cylinder"], [])
+    assert (first["set"], first["objects"], first["dropped"]) == ("simple-7", ["box", "cylinder"], [])
 
 
 def test_times_come_back_as_they_were(tmp_path: Path) -> None:
@@ -54,31 +42,46 @@ def test_times_come_back_as_they_were(tmp_path: Path) -> None:
     assert read_times(path) == times
 
 
-def damaged(**change: Any) -> str:
-    from dataclasses import asdict
+def test_compressed_results_come_back_as_they_were_and_are_the_same_bytes(rows: list[Row], tmp_path: Path) -> None:
+    path, again = tmp_path / "some.results.jsonl.gz", tmp_path / "again.jsonl.gz"
+    write_results(path, rows)
+    write_results(again, rows)
+    assert read_results(path) == rows
+    assert path.read_bytes() == again.read_bytes()
+    assert times_path(path).name == "some.results.times.jsonl.gz"
 
-    return json.dumps({"format": 1, **asdict(BARE), **change})
+
+@pytest.mark.parametrize("keep", [0, 40, -4])
+def test_damaged_compressed_results_are_told(keep: int, rows: list[Row], tmp_path: Path) -> None:
+    path = tmp_path / "results.jsonl.gz"
+    write_results(path, rows)
+    path.write_bytes(path.read_bytes()[:keep] or b"{}")
+    with pytest.raises(UserError, match="cannot read .*results.jsonl.gz: "):
+        read_results(path)
 
 
 @pytest.mark.parametrize(
-    ("line", "message"),
+    ("damage", "message"),
     [
         ("{", "Expecting property name"),
         ("[]", "it is not a JSON object"),
-        (damaged(format=2), "format 2, this program reads 1"),
-        (damaged(scene="4"), "'scene' is '4'"),
-        (damaged(value=float("nan")), "NaN is no number"),
-        (damaged(value=True), "'value' is True"),
-        (damaged(extra=1), "'extra' is missing or unknown"),
-        (damaged(grasp={"position": [0, 0], "quaternion": [0, 0, 0, 1]}), "'grasp' is"),
-        (damaged(errors={"distance_mm": 1.0}), "'errors' is"),
-        (damaged(objects=[1]), "'objects' is"),
-        (damaged(scene=3), "attempt 0 of scene 3 is there twice"),
+        ({"format": 2}, "format 2, this program reads 1"),
+        ({"scene": "1"}, "'scene' is '1'"),
+        ({"value": float("nan")}, "NaN is no number"),
+        ({"value": True}, "'value' is True"),
+        ({"extra": 1}, "'extra' is missing or unknown"),
+        ({"grasp": {"position": [0, 0], "quaternion": [0, 0, 0, 1]}}, "'grasp' is"),
+        ({"errors": {"distance_mm": 1.0}}, "'errors' is"),
+        ({"objects": [1]}, "'objects' is"),
+        ({"scene": 0}, "attempt 0 of scene 0 is there twice"),
     ],
 )
-def test_damage_is_told_with_its_line(line: str, message: str, tmp_path: Path) -> None:
+def test_damage_is_told_with_its_line(
+    damage: str | dict[str, Any], message: str, rows: list[Row], tmp_path: Path
+) -> None:
     path = tmp_path / "results.jsonl"
-    write_results(path, [ROW])
+    write_results(path, rows[:1])
+    line = damage if isinstance(damage, str) else json.dumps({"format": 1, **asdict(rows[1]), **damage})
     path.write_text(path.read_text() + line + "\n")
     with pytest.raises(UserError, match=f"results.jsonl, line 2: {message}"):
         read_results(path)
@@ -92,7 +95,7 @@ def test_no_file_and_an_empty_one_are_told(tmp_path: Path) -> None:
         read_results(tmp_path / "empty.jsonl")
 
 
-def test_a_number_that_is_not_finite_is_not_written(tmp_path: Path) -> None:
+def test_a_number_that_is_not_finite_is_not_written(rows: list[Row], tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="not JSON compliant"):
-        write_results(tmp_path / "results.jsonl", [replace(ROW, value=float("nan"))])
+        write_results(tmp_path / "results.jsonl", [replace(rows[0], value=float("nan"))])
     assert list(tmp_path.iterdir()) == []

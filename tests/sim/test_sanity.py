@@ -11,10 +11,11 @@ from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
 from nerfgrasp.scenes.oracle import sample_top_down, valid_grasps
 from nerfgrasp.sim import shapes
 from nerfgrasp.sim.attempt import Outcome, attempt_grasp
+from nerfgrasp.sim.hand import FINGERS
 from nerfgrasp.sim.physics import PHYSICS
 from nerfgrasp.sim.sanity import perturbed_grasp
 from nerfgrasp.sim.tasks import clutter_scene, simple_scene
-from nerfgrasp.sim.world import FINGERS, World
+from nerfgrasp.sim.world import World
 
 VOLUME = 0.04 * 0.08 * 0.1
 """Of the box in m³."""

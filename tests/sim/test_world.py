@@ -1,4 +1,4 @@
-"""The world: objects rest where they are put, weigh what they should, and the gripper is as described."""
+"""The world: objects rest where they are put and weigh what they should; the constants are as described."""
 
 from dataclasses import fields, replace
 
@@ -11,7 +11,7 @@ from nerfgrasp.scenes.prisms import mass_properties
 from nerfgrasp.sim import shapes
 from nerfgrasp.sim.physics import PHYSICS, physics_hash
 from nerfgrasp.sim.tasks import simple_scene
-from nerfgrasp.sim.world import Hand, World
+from nerfgrasp.sim.world import World
 
 
 def test_resting_objects_stay_where_they_are():
@@ -53,27 +53,6 @@ def test_hulls_end_where_the_solids_do(kind, parts, scene_of):
         hits = p.rayTestBatch(starts, ends, physicsClientId=world.client)
     assert hits[0][3][2] == pytest.approx(prism.height, abs=5e-4)
     assert hits[1][3][1] == pytest.approx(y + lowest, abs=5e-4)
-
-
-def test_fingers_open_to_the_stroke_and_close_on_the_middle():
-    grasp = np.diag([1.0, -1.0, -1.0, 1.0])
-    grasp[2, 3] = 0.2
-    with World([], PHYSICS) as world:
-        hand = Hand(world, ROBOTIQ_2F85, grasp)
-        world.step(24)
-        assert pad_faces(hand) == pytest.approx([-0.0425, 0.0425], abs=1e-3)
-        hand.close()
-        world.step(world.steps(PHYSICS.close_time))
-        assert pad_faces(hand) == pytest.approx([0.0, 0.0], abs=2e-3)
-        states = [p.getLinkState(hand.body, link, physicsClientId=world.client) for link in (0, 1)]
-        assert [state[0][2] for state in states] == pytest.approx([0.2, 0.2], abs=2e-3)
-
-
-def pad_faces(hand):
-    """Where the pads' inner faces are along world x."""
-    middle = [p.getLinkState(hand.body, link, physicsClientId=hand.client)[0][0] for link in (0, 1)]
-    half = ROBOTIQ_2F85.fingers.thickness / 2
-    return [middle[0] + half, middle[1] - half]
 
 
 def test_open_boxes_span_the_gripper():
