@@ -2,8 +2,9 @@
 
 import os
 
-# Before torch is imported here and in every process that a test starts: two threads are plenty for small tensors.
-os.environ.setdefault("OMP_NUM_THREADS", "2")
+# Before torch is imported here and in every process that a test starts: small tensors gain nothing by a second thread,
+# and on a busy machine two threads wait for each other most of the time.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 # Nothing is fetched in a test, and nothing may quietly be.
 os.environ.setdefault("HF_HUB_OFFLINE", "1")
 # No window and no warning about one.
@@ -33,7 +34,7 @@ from nerfgrasp.scenes.scene import Truth, Workspace
 
 @pytest.fixture(autouse=True, scope="session")
 def _few_threads() -> None:
-    torch.set_num_threads(2)
+    torch.set_num_threads(1)
 
 
 @pytest.fixture
