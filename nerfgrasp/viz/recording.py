@@ -1,6 +1,6 @@
-"""A search as a Rerun recording: cameras, images, candidates that move, and their values."""
+"""Rerun recordings: a search (cameras, images, candidates that move, their values), and pictures of a training."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +58,24 @@ def record_search(
     recording.disconnect()
 
 
+def record_pictures(path: Path) -> rr.RecordingStream:
+    """Opens an `.rrd` file for the pictures of a training; the caller disconnects it."""
+    recording = rr.RecordingStream("nerfgrasp_fit")
+    recording.save(path)
+    return recording
+
+
+def log_pictures(recording: rr.RecordingStream, entity: str, pictures: Mapping[str, Tensor], step: int) -> None:
+    """Logs pictures `[H, W, 3]` in [0, 1] under `entity`, each by its name, on the timeline `step`."""
+    recording.set_time("step", sequence=step)
+    for name, picture in pictures.items():
+        recording.log(f"{entity}/{name}", rr.Image(_to_bytes(picture)))
+
+
+def _to_bytes(image: Tensor) -> NDArray[np.uint8]:
+    return (image.detach().clamp(0.0, 1.0) * 255).round().byte().cpu().numpy()
+
+
 def _log_image(recording: rr.RecordingStream, entity: str, image: Tensor, camera: Camera) -> None:
     T = camera.T_world_camera.detach().cpu().numpy()
     recording.log(entity, rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]), static=True)
@@ -67,9 +85,8 @@ def _log_image(recording: rr.RecordingStream, entity: str, image: Tensor, camera
         camera_xyz=rr.ViewCoordinates.RDF,
         image_plane_distance=0.1,
     )
-    pixels = (image.detach().clamp(0.0, 1.0) * 255).round().byte().cpu().numpy()
     recording.log(entity, pinhole, static=True)
-    recording.log(f"{entity}/image", rr.Image(pixels), static=True)
+    recording.log(f"{entity}/image", rr.Image(_to_bytes(image)), static=True)
 
 
 def _log_trace(recording: rr.RecordingStream, trace: Trace) -> None:
