@@ -1,6 +1,5 @@
 """`nerfgrasp fit | validate | test`: LightningCLI, with shipped configs by name and data sets made on demand."""
 
-import time
 import warnings
 import zipfile
 from importlib.resources import files
@@ -9,15 +8,19 @@ from pathlib import Path
 from typing import Any
 
 from jsonargparse import ActionConfigFile
-from lightning import Callback, LightningModule, Trainer
-from lightning.pytorch.callbacks import ModelCheckpoint, TQDMProgressBar
+from lightning import LightningModule, Trainer
+from lightning.pytorch.callbacks import TQDMProgressBar
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
+from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from nerfgrasp.allocator import keep_freed_memory
 from nerfgrasp.commands.parsing import OneLineErrors
 from nerfgrasp.data.streams import SceneSet, StepDataModule
 from nerfgrasp.errors import UserError, unknown_name
 from nerfgrasp.models.folder import save_model
+from nerfgrasp.training.callbacks import ExpectedTime, ExponentialAverage, RayRate, StopOnNotFinite
+from nerfgrasp.training.checkpoints import StepCheckpoint, WholeCheckpoints
+from nerfgrasp.viz.held_out import HeldOutRenders
 
 MODEL_FOLDER = "model"
 """Where under a run's folder the trained model is written."""
@@ -25,8 +28,6 @@ CHECKPOINT_FOLDER = "checkpoints"
 """Where under it the checkpoints are: the same place for a run that is resumed, so that `last` finds its own."""
 CHECKPOINT_WORDS = ("best", "last", "hpc")
 """What `--ckpt_path` may say other than a file's name."""
-MEASURED_STEPS = 20
-"""So many steps are timed before the run's length is told."""
 
 
 class Parser(OneLineErrors, LightningArgumentParser):
@@ -37,8 +38,10 @@ class Command(LightningCLI):
     """LightningCLI with a checkpoint callback, data sets made on demand, and a model folder at the end."""
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
-        """Adds the checkpoint callback, configured under `checkpoint`."""
-        parser.add_lightning_class_args(ModelCheckpoint, "checkpoint")
+        """Adds the checkpoint callback, configured under `checkpoint`, and the switch for averaged weights."""
+        what = "decay of an exponential moving average of the weights, which is then the result; e.g. 0.999"
+        parser.add_argument("--ema_decay", type=float | None, default=None, help=what)
+        parser.add_lightning_class_args(StepCheckpoint, "checkpoint")
         # A checkpoint every few minutes, the newest kept: a killed run goes on with --ckpt_path last.
         parser.set_defaults({"checkpoint.every_n_train_steps": 500, "checkpoint.save_last": True})
 
@@ -59,6 +62,16 @@ class Command(LightningCLI):
         if config["checkpoint"]["dirpath"] is None and config["trainer"]["default_root_dir"] is not None:
             config["checkpoint"]["dirpath"] = str(Path(config["trainer"]["default_root_dir"]) / CHECKPOINT_FOLDER)
 
+    def instantiate_trainer(self, **kwargs: Any) -> Trainer:
+        """Builds the trainer, with an average of the weights if the config asks for one."""
+        decay = self.config_init[str(self.subcommand)]["ema_decay"]
+        if decay is not None:
+            self.trainer_defaults["callbacks"].append(ExponentialAverage(decay))
+        trainer = super().instantiate_trainer(**kwargs)
+        if type(trainer.strategy.checkpoint_io) is TorchCheckpointIO:
+            trainer.strategy.checkpoint_io = WholeCheckpoints()
+        return trainer
+
     def before_fit(self) -> None:
         """Says what is to come, and makes the data sets that are not there."""
         self._prepare("fit")
@@ -78,10 +91,10 @@ class Command(LightningCLI):
         print(f"the model is in {folder}")
 
     def _prepare(self, stage: str) -> None:
-        _check_views(self.model, self.datamodule)
+        _check_inputs(self.model, self.datamodule)
         sets: list[SceneSet] = []
         if isinstance(self.datamodule, StepDataModule):
-            self.datamodule.check()
+            self.datamodule.check(stage)
             sets = self.datamodule.sets(stage)
         if stage == "fit":
             gigabytes = sum(_image_bytes(scenes) for scenes in sets) / 1e9
@@ -89,24 +102,6 @@ class Command(LightningCLI):
             print(f"{self.trainer.max_steps} steps; data of {gigabytes:.2g} GB; {where}", flush=True)
         for scenes in sets:
             _make(scenes)
-
-
-class ExpectedTime(Callback):
-    """Prints how long a run will take once its first steps are timed."""
-
-    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Notes where the run starts."""
-        self._first, self._begin = trainer.global_step, 0.0
-
-    def on_train_batch_end(self, trainer: Trainer, *_: object) -> None:
-        """Times steps after the first, which is slower than the rest."""
-        done = trainer.global_step - self._first
-        if done == 1:
-            self._begin = time.monotonic()
-        elif done == 1 + MEASURED_STEPS and trainer.max_steps > 0:
-            step = (time.monotonic() - self._begin) / MEASURED_STEPS
-            hours = step * (trainer.max_steps - trainer.global_step) / 3600
-            print(f"\n{step:.2f} s a step: about {hours:.1f} hours to go", flush=True)
 
 
 def main(verb: str, args: list[str]) -> None:
@@ -119,6 +114,8 @@ def main(verb: str, args: list[str]) -> None:
     keep_freed_memory()
     warnings.filterwarnings("ignore", message="LightningCLI's args parameter")
     warnings.filterwarnings("ignore", message="Checkpoint directory .* exists and is not empty")  # a resumed run's
+    # An average's own state is of no use there, and the checkpoint's weights are the average.
+    warnings.filterwarnings("ignore", message="You're using the WeightAveraging callback, but loading a checkpoint")
     warnings.filterwarnings("ignore", message="Found .* in eval mode at the start")  # a frozen backbone's
     try:
         Command(
@@ -127,7 +124,13 @@ def main(verb: str, args: list[str]) -> None:
             save_config_kwargs={"overwrite": True},
             parser_kwargs={name: {"prog": f"nerfgrasp {name}"} for name in ("fit", "validate", "test")},
             trainer_defaults={
-                "callbacks": [ExpectedTime(), TQDMProgressBar(refresh_rate=10)],
+                "callbacks": [
+                    StopOnNotFinite(),
+                    ExpectedTime(),
+                    RayRate(),
+                    HeldOutRenders(),
+                    TQDMProgressBar(refresh_rate=10),
+                ],
                 "check_val_every_n_epoch": None,
                 "num_sanity_val_steps": 0,
             },
@@ -172,12 +175,17 @@ def _find_config(name: str) -> str:
     raise unknown_name("config", name, (str(path.relative_to(folder)) for path in folder.rglob("*.yaml")))
 
 
-def _check_views(module: LightningModule, data: Any) -> None:
+def _check_inputs(module: LightningModule, data: Any) -> None:
     network = getattr(module, "network", None)
     config = getattr(network, "config", None)
     backbone = getattr(config, "backbone", config)
-    if backbone is not None and getattr(data, "views", backbone.views) != backbone.views:
+    if backbone is None:
+        return
+    if getattr(data, "views", backbone.views) != backbone.views:
         raise UserError(f"data.init_args.views is {data.views}, but the network sees {backbone.views} views")
+    size = getattr(data, "image_size", None)
+    if size not in (None, backbone.image_size):
+        raise UserError(f"data.init_args.image_size is {size}, but the network's is {backbone.image_size}")
 
 
 def _user_mistake(error: BaseException | None) -> UserError | None:

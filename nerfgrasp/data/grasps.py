@@ -73,6 +73,9 @@ class GraspData(StepDataModule):
         workers: processes that draw batches, 0 or 1.
     """
 
+    train_set: SceneSet
+    validation_set: SceneSet
+
     def __init__(
         self,
         train: SceneSet,
@@ -90,9 +93,9 @@ class GraspData(StepDataModule):
         self.negatives, self.random_views = negatives, random_views
         self.seed, self.workers = seed, workers
 
-    def check(self) -> None:
+    def check(self, stage: str = "fit") -> None:
         """See `StepDataModule`."""
-        super().check()
+        super().check(stage)
         for name, scenes in (("train", self.train_set), ("validation", self.validation_set)):
             if not scenes.demonstrations:
                 raise UserError(f"data.init_args.{name}: demonstrations is false: a grasp value learns from them")

@@ -108,7 +108,7 @@ class PackedWriter:
 
 
 class PackedScenes:
-    """A complete packed set, opened for reading. Pickles as its folder's name, so that workers map it anew.
+    """A complete packed set, opened for reading; a `SceneSource`. Pickles as its folder's name: workers map it anew.
 
     Args:
         folder: the set's folder.
@@ -151,6 +151,22 @@ class PackedScenes:
         """Returns the cameras of scene `index`, batch shape `[V]`."""
         intrinsics, pose = (torch.from_numpy(np.array(a[index])) for a in (self.intrinsics, self.T_world_camera))
         return Camera(intrinsics, pose, self.settings.size, self.settings.size)
+
+    def workspace_of(self, index: int) -> Workspace:
+        """Returns the workspace of scene `index`, which is that of all."""
+        return self.workspace
+
+    def read_images(self, index: int, views: np.ndarray) -> np.ndarray:
+        """Returns views `[n]` of scene `index`: `[n, H, W, 3]` uint8, RGB."""
+        return self.images[index][views]
+
+    def read_colours(self, index: int, view: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Returns the pixels of scene `index` at (view, y, x), each `[n]`: `[n, 3]` uint8, RGB."""
+        return self.images[index][view, y, x]
+
+    def read_masks(self, index: int, views: np.ndarray) -> np.ndarray:
+        """Returns `[n, H, W]` uint8: 0 where there is no object, i + 1 on object i."""
+        return self.masks[index][views]
 
     def scene(self, index: int) -> Scene:
         """Returns scene `index` with all its views, named by its number."""

@@ -66,18 +66,19 @@ class StepDataModule(LightningDataModule):
     Subclasses give `draw(generator)` and a validation loader, and extend `check`.
     """
 
-    train_set: SceneSet
-    validation_set: SceneSet
+    train_set: SceneSet | Path
+    validation_set: SceneSet | Path
     seed: int
     workers: int
     """Processes that draw batches beside the training (0 or 1); they change nothing in what is drawn."""
 
     def sets(self, stage: str = "fit") -> list[SceneSet]:
         """Returns the sets that a stage (`fit`, `validate`, `test`) reads, so that missing ones can be made."""
-        return [self.train_set, self.validation_set] if stage == "fit" else [self.validation_set]
+        read = [self.train_set, self.validation_set] if stage == "fit" else [self.validation_set]
+        return [scenes for scenes in read if isinstance(scenes, SceneSet)]
 
-    def check(self) -> None:
-        """Compares what is drawn with what the sets hold, before any is made or opened.
+    def check(self, stage: str = "fit") -> None:
+        """Compares what a stage draws with what its sets hold, before any is made.
 
         Raises:
             UserError: a set has too few scenes or views, or there are too many workers.

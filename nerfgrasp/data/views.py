@@ -1,4 +1,4 @@
-"""Views of a packed set's scenes as tensors."""
+"""Views of scenes as tensors."""
 
 from typing import NamedTuple
 
@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nerfgrasp.data.packed import PackedScenes
-from nerfgrasp.geometry import Camera
+from nerfgrasp.data.sources import SceneSource
+from nerfgrasp.geometry import Camera, crop_to_box
 from nerfgrasp.scenes.scene import Workspace
 
 
@@ -35,11 +35,23 @@ class Views(NamedTuple):
         return Workspace(self.minimum, self.maximum)
 
 
-def read_views(scenes: PackedScenes, scene: int, views: np.ndarray) -> Views:
-    """Returns views `[V]` of one scene, batch shape `[V]`, the workspace's `[1]`."""
+def read_views(scenes: SceneSource, scene: int, views: np.ndarray, size: int | None = None) -> Views:
+    """Returns views `[V]` of one scene, batch shape `[V]`, the workspace's `[1]`.
+
+    Args:
+        scenes: where from.
+        scene: its number.
+        views: their numbers.
+        size: images of another size are cut to the workspace and resampled to a square of that side, as
+            `MVNeRF.fit_images` does it; None takes them as they are.
+    """
     camera = scenes.camera(scene)[torch.from_numpy(np.asarray(views))]
-    corners = scenes.workspace.minimum[None], scenes.workspace.maximum[None]
-    return Views(to_float(scenes.images[scene][views]), camera.intrinsics, camera.T_world_camera, *corners)
+    workspace = scenes.workspace_of(scene)
+    images = to_float(scenes.read_images(scene, views))
+    if size is not None and images.shape[-2:] != (size, size):
+        images, camera = crop_to_box(images, camera, workspace.minimum, workspace.maximum, size)
+    corners = workspace.minimum[None], workspace.maximum[None]
+    return Views(images, camera.intrinsics, camera.T_world_camera, *corners)
 
 
 def to_float(images: np.ndarray) -> Tensor:

@@ -80,6 +80,12 @@ def load_model(name: str | Path) -> MVNeRF | GraspValue:
     return model.eval()
 
 
+def load_backbone(name: str | Path) -> MVNeRF:
+    """Reads an MVNeRF as `load_model` does; of a grasp value, the one that it stands on."""
+    model = load_model(name)
+    return model if isinstance(model, MVNeRF) else model.backbone
+
+
 def find_model(name: str) -> Path:
     """Returns a model's folder: as it is, shipped with the package, or fetched from the Hugging Face Hub.
 

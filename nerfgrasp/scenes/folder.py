@@ -7,8 +7,9 @@ workspace and the truth, stands under the key `nerfgrasp`; a scene without it ha
 
 import json
 import math
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -18,7 +19,7 @@ from torch import Tensor
 from nerfgrasp.errors import UserError
 from nerfgrasp.files import make_folder, read_json, replacing
 from nerfgrasp.geometry import Camera, is_rigid
-from nerfgrasp.scenes.images import read_image
+from nerfgrasp.scenes.images import image_size, read_image
 from nerfgrasp.scenes.scene import Observations, Scene, Truth, Workspace
 from nerfgrasp.scenes.truth import (
     tensor_to_json,
@@ -37,12 +38,40 @@ _DISTORTIONS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "s1", "s2", "s3"
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 
 
-def read_scene(folder: Path) -> Scene:
-    """Reads a scene folder, all its frames in the order of the file.
+@dataclass(frozen=True)
+class SceneFiles:
+    """A scene folder whose images are read one at a time."""
+
+    path: Path
+    """Its `transforms.json`."""
+    images: tuple[Path, ...]
+    """The files of its V views."""
+    camera: Camera
+    """Batch shape `[V]`."""
+    workspace: Workspace
+    """Where grasps are searched."""
+    truth: Truth | None
+    """Known in simulation."""
+
+    @property
+    def name(self) -> str:
+        """The folder's name."""
+        return self.path.parent.resolve().name
+
+    def image(self, view: int) -> Tensor:
+        """Returns a view's image `[3, H, W]`, RGB in [0, 1], transparent pixels laid on white.
+
+        Raises:
+            UserError: it is damaged or has more than 8 bits a channel.
+        """
+        return read_image(self.images[view], f"{self.path}, frame {view}")
+
+
+def open_scene(folder: Path) -> SceneFiles:
+    """Reads a scene folder but for its images, all its frames in the order of the file.
 
     Intrinsics may stand at the top or in each frame: `fl_x` or `camera_angle_x`; `fl_y`, else `camera_angle_y`,
-    else as x; `cx`, `cy`, else the image's centre; `w`, `h`, else the image's own. Transparent pixels are laid
-    on white.
+    else as x; `cx`, `cy`, else the image's centre; `w`, `h`, else the image's own.
 
     Args:
         folder: holds `transforms.json`; frames name their images relative to it, with or without a suffix.
@@ -56,10 +85,17 @@ def read_scene(folder: Path) -> Scene:
     if not isinstance(frames, list) or not frames:
         raise UserError(f"{path}: no frames")
     views = [_read_frame(folder, data, frame, f"{path}, frame {i}") for i, frame in enumerate(frames)]
-    images, intrinsics, poses = (torch.stack(parts) for parts in zip(*_same_size(views, path), strict=True))
-    camera = Camera(intrinsics, poses, width=images.shape[-1], height=images.shape[-2])
-    workspace, truth = _read_ours(data, path)
-    return Scene(folder.resolve().name, Observations(images, camera), workspace, truth)
+    width, height = _same_size([view.size for view in views], path)
+    intrinsics, poses = torch.stack([v.intrinsics for v in views]), torch.stack([v.T_world_camera for v in views])
+    camera = Camera(intrinsics, poses, width, height)
+    return SceneFiles(path, tuple(view.image for view in views), camera, *_read_ours(data, path))
+
+
+def read_scene(folder: Path) -> Scene:
+    """Reads a scene folder with its images; arguments and errors as `open_scene`'s and `SceneFiles.image`'s."""
+    files = open_scene(folder)
+    images = torch.stack([files.image(view) for view in range(len(files.images))])
+    return Scene(files.name, Observations(images, files.camera), files.workspace, files.truth)
 
 
 def read_truth(folder: Path) -> Truth | None:
@@ -134,28 +170,36 @@ def _read_ours(data: dict[str, Any], path: Path) -> tuple[Workspace, Truth | Non
     return workspace, truth_from_json(ours["truth"], where) if ours.get("truth") is not None else None
 
 
-def _read_frame(folder: Path, data: dict[str, Any], frame: Any, where: str) -> tuple[Tensor, Tensor, Tensor]:
-    """Returns image `[3, H, W]`, intrinsics `[3, 3]` and `T_world_camera` `[4, 4]`."""
+class _Frame(NamedTuple):
+    image: Path
+    size: tuple[int, int]
+    """Width and height in pixels."""
+    intrinsics: Tensor
+    """`[3, 3]`"""
+    T_world_camera: Tensor
+    """`[4, 4]`"""
+
+
+def _read_frame(folder: Path, data: dict[str, Any], frame: Any, where: str) -> _Frame:
     if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
         raise UserError(f"{where}: 'file_path' is missing")
     values = {**{key: value for key, value in data.items() if key != "frames"}, **frame}
     _check_undistorted(values, where)
     pose = _pose(values, where)
-    image = read_image(_find_image(folder, frame["file_path"], where), where)
-    height, width = image.shape[-2:]
+    image = _find_image(folder, frame["file_path"], where)
+    width, height = image_size(image, where)
     for key, actual in (("w", width), ("h", height)):
         if key in values and _number(values, key, where) != actual:
             raise UserError(f"{where}: the image {frame['file_path']} is {width}x{height}, but {key} is {values[key]}")
-    return image, _intrinsics(values, width, height, where), pose
+    return _Frame(image, (width, height), _intrinsics(values, width, height, where), pose)
 
 
-def _same_size(views: list[tuple[Tensor, Tensor, Tensor]], path: Path) -> list[tuple[Tensor, Tensor, Tensor]]:
-    height, width = views[0][0].shape[-2:]
-    for index, (image, _, _) in enumerate(views):
-        if image.shape[-2:] != (height, width):
-            size = f"{image.shape[-1]}x{image.shape[-2]}"
-            raise UserError(f"{path}, frame {index}: the image is {size}, but frame 0's is {width}x{height}")
-    return views
+def _same_size(sizes: list[tuple[int, int]], path: Path) -> tuple[int, int]:
+    for index, (width, height) in enumerate(sizes):
+        if (width, height) != sizes[0]:
+            first = "x".join(map(str, sizes[0]))
+            raise UserError(f"{path}, frame {index}: the image is {width}x{height}, but frame 0's is {first}")
+    return sizes[0]
 
 
 def _find_image(folder: Path, name: str, where: str) -> Path:

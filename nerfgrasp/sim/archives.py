@@ -2,6 +2,7 @@
 
 import hashlib
 import logging
+import shutil
 import tarfile
 import zipfile
 from pathlib import Path, PurePosixPath
@@ -71,10 +72,7 @@ def unpack(archive: Path, folder: Path) -> None:
         if archive.name.lower().endswith(".zip"):
             _unpack_zip(archive, folder)
         else:
-            with tarfile.open(archive) as tar:
-                tar.extractall(folder, filter="data")
-    except tarfile.FilterError as error:
-        raise UserError(f"{archive}: refused, something in it would land outside: {error}") from error
+            _unpack_tar(archive, folder)
     except (tarfile.TarError, zipfile.BadZipFile, EOFError, OSError) as error:
         raise UserError(f"{archive}: the archive is damaged or cannot be unpacked ({error})") from error
 
@@ -82,7 +80,27 @@ def unpack(archive: Path, folder: Path) -> None:
 def _unpack_zip(archive: Path, folder: Path) -> None:
     with zipfile.ZipFile(archive) as file:
         for name in file.namelist():
-            path = PurePosixPath(name.replace("\\", "/"))
-            if path.is_absolute() or ".." in path.parts:
-                raise UserError(f"{archive}: refused, something in it would land outside: {name!r}")
+            _check_inside(archive, name)
         file.extractall(folder)
+
+
+def _unpack_tar(archive: Path, folder: Path) -> None:
+    # Not by extractall and its filter, which Python 3.11 has from 3.11.4 on only.
+    with tarfile.open(archive) as tar:
+        for member in tar:
+            _check_inside(archive, member.name)
+            if member.isdir():
+                continue
+            content = tar.extractfile(member) if member.isfile() else None
+            if content is None:
+                raise UserError(f"{archive}: refused, {member.name!r} is neither a file nor a folder")
+            path = folder / member.name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with content, path.open("wb") as file:
+                shutil.copyfileobj(content, file)
+
+
+def _check_inside(archive: Path, name: str) -> None:
+    path = PurePosixPath(name.replace("\\", "/"))
+    if path.is_absolute() or ".." in path.parts:
+        raise UserError(f"{archive}: refused, something in it would land outside: {name!r}")

@@ -10,11 +10,14 @@ from torchmetrics import MeanMetric
 
 from nerfgrasp.data.grasps import GraspBatch
 from nerfgrasp.errors import UserError
-from nerfgrasp.models import GraspValue, GraspValueConfig, MVNeRF
-from nerfgrasp.models.folder import load_model, weights_hash
+from nerfgrasp.models import GraspValue, GraspValueConfig
+from nerfgrasp.models.folder import load_backbone, weights_hash
 from nerfgrasp.training.features import FeatureCache
 from nerfgrasp.training.module import ScheduledTraining
 from nerfgrasp.training.schedule import LearningRate
+
+_STATES = {"state_dict", "current_model_state"}
+"""Where a checkpoint has weights: the second only beside an average, which then is the first."""
 
 
 class GraspValueTraining(ScheduledTraining):
@@ -49,8 +52,7 @@ class GraspValueTraining(ScheduledTraining):
         seed: int = 0,
     ) -> None:
         super().__init__(schedule, {"loss": MeanMetric(), "top1": MeanMetric()})
-        pretrained = load_model(backbone)
-        pretrained = pretrained if isinstance(pretrained, MVNeRF) else pretrained.backbone
+        pretrained = load_backbone(backbone)
         widths = (activation_width, pose_width, hidden_width, output_width)
         config = GraspValueConfig(pretrained.config, *widths, symmetric)
         with torch.random.fork_rng(devices=[]):
@@ -89,8 +91,9 @@ class GraspValueTraining(ScheduledTraining):
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Leaves the frozen backbone's weights out and keeps their hash instead."""
-        state = checkpoint["state_dict"]
-        checkpoint["state_dict"] = {name: value for name, value in state.items() if not _of_backbone(name)}
+        for key in _STATES & checkpoint.keys():
+            state = checkpoint[key]
+            checkpoint[key] = {name: value for name, value in state.items() if not _of_backbone(name)}
         checkpoint["backbone_sha256"] = self.backbone_hash
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
@@ -105,7 +108,8 @@ class GraspValueTraining(ScheduledTraining):
                 f"this one has {self.backbone_hash})"
             )
         own = {name: value for name, value in self.state_dict().items() if _of_backbone(name)}
-        checkpoint["state_dict"] = {**checkpoint["state_dict"], **own}
+        for key in _STATES & checkpoint.keys():
+            checkpoint[key] = {**checkpoint[key], **own}
 
 
 def grasp_loss(values: Tensor, kind: str) -> Tensor:

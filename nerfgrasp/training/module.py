@@ -29,8 +29,11 @@ class ScheduledTraining(LightningModule):
         self.validation_step(batch, batch_idx)
 
     def on_validation_epoch_end(self) -> None:
-        """Logs the metrics over the held-out scenes."""
-        self.log_dict(self.held_out.compute(), prog_bar=True)
+        """Logs the metrics over the held-out scenes; none that nothing was measured for."""
+        # Processes reduce a metric together or not at all: one may have seen an object where another has not.
+        together = self.trainer.world_size > 1
+        measured = {name: one for name, one in self.held_out.items() if together or one.update_called}
+        self.log_dict({name: one.compute() for name, one in measured.items()}, prog_bar=True)
         self.held_out.reset()
 
     on_test_epoch_end = on_validation_epoch_end

@@ -1,4 +1,4 @@
-"""Rerun recordings: a search with its candidates and their values, and rendered views with their depth."""
+"""Rerun recordings: a search and its candidates, rendered views with their depth, and pictures of a training."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -109,6 +109,20 @@ def _start(
 def _end(recording: rr.RecordingStream) -> None:
     recording.flush()
     recording.disconnect()
+
+
+def record_pictures(path: Path) -> rr.RecordingStream:
+    """Opens an `.rrd` file for the pictures of a training; the caller disconnects it."""
+    recording = rr.RecordingStream("nerfgrasp_fit")
+    recording.save(path)
+    return recording
+
+
+def log_pictures(recording: rr.RecordingStream, entity: str, pictures: Mapping[str, Tensor], step: int) -> None:
+    """Logs pictures `[H, W, 3]` in [0, 1] under `entity`, each by its name, on the timeline `step`."""
+    recording.set_time("step", sequence=step)
+    for name, picture in pictures.items():
+        recording.log(f"{entity}/{name}", rr.Image(_bytes(picture)))
 
 
 def _log_view(recording: rr.RecordingStream, entity: str, view: RenderedView, *, static: bool) -> None:

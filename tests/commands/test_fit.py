@@ -1,12 +1,18 @@
+import csv
 import json
+import os
 import shutil
 import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from contextlib import suppress
+from dataclasses import asdict, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 import yaml
@@ -14,9 +20,11 @@ from safetensors import safe_open
 
 from nerfgrasp import cli
 from nerfgrasp.commands import fit, generate
+from nerfgrasp.data.packed import PackedScenes
 from nerfgrasp.errors import UserError
 from nerfgrasp.models import GraspValue, MVNeRF
 from nerfgrasp.models.folder import load_model, save_model, weights_hash
+from nerfgrasp.scenes.folder import write_scene
 from nerfgrasp.training import MVNeRFTraining
 
 # Lightning calls what jsonargparse is about to retire.
@@ -116,6 +124,114 @@ def test_a_run_that_is_resumed_ends_as_an_unbroken_one(config: Path, run: Path) 
     assert (run / "model" / "model.safetensors").read_bytes() == unbroken
 
 
+@pytest.fixture
+def logged(tmp_path: Path) -> Path:
+    """An overlay: all that a run which is killed goes through, every loss written down at once."""
+    logger = {
+        "class_path": "lightning.pytorch.loggers.CSVLogger",
+        "init_args": {"save_dir": str(tmp_path / "run"), "flush_logs_every_n_steps": 1},
+    }
+    content = {
+        "ema_decay": 0.5,
+        "checkpoint": {"every_n_train_steps": 2},
+        "data": {"init_args": {"workers": 1}},
+        "trainer": {
+            "logger": logger,
+            "log_every_n_steps": 1,
+            "accumulate_grad_batches": 2,
+            "val_check_interval": 6,
+            "max_steps": 1_000_000,
+        },
+    }
+    path = tmp_path / "logged.yaml"
+    path.write_text(json.dumps(content))
+    return path
+
+
+def losses(log: Path) -> dict[int, str]:
+    with log.open() as file:
+        return {int(row["step"]): row["train/loss"] for row in csv.DictReader(file) if row.get("train/loss")}
+
+
+def test_a_run_that_is_killed_goes_on_as_if_it_had_not_been(
+    config: Path, logged: Path, run: Path, tmp_path: Path
+) -> None:
+    args = ["fit", "--config", str(config), "--config", str(logged)]
+    logs = [run / "lightning_logs" / f"version_{version}" / "metrics.csv" for version in (0, 1)]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "nerfgrasp", *args], stdout=subprocess.DEVNULL, start_new_session=True
+    )
+    try:
+        while process.poll() is None and not (logs[0].exists() and len(logs[0].read_text().splitlines()) > 9):
+            time.sleep(0.02)
+        assert process.poll() is None, "it must be killed at work"
+        process.kill()
+        process.wait()
+    finally:
+        with suppress(ProcessLookupError):  # the worker goes by itself, but takes a while
+            os.killpg(process.pid, signal.SIGKILL)
+    newest = max((run / "checkpoints").glob("last*.ckpt"), key=lambda path: path.stat().st_mtime)
+    done = torch.load(newest, weights_only=True)["global_step"]
+    killed = losses(logs[0])
+    killed.popitem()  # it may be half-written
+
+    steps = ["--trainer.max_steps", str(done + 3)]
+    assert cli.main([*args, *steps, "--ckpt_path", "last"]) == 0
+    resumed, model = losses(logs[1]), (run / "model" / "model.safetensors").read_bytes()
+    assert list(resumed) == [done, done + 1, done + 2]
+    shutil.rmtree(run)
+    assert cli.main([*args, *steps]) == 0
+    unbroken = losses(logs[0])
+    assert list(unbroken) == list(range(done + 3))
+    assert resumed == {step: unbroken[step] for step in resumed}
+    common = killed.keys() & unbroken.keys()
+    assert {step: killed[step] for step in common} == {step: unbroken[step] for step in common}
+    assert len(set(unbroken.values())) == len(unbroken)
+    assert (run / "model" / "model.safetensors").read_bytes() == model
+
+    # What is exported is the average that the checkpoint holds, not the weights that go on learning.
+    last = torch.load(max((run / "checkpoints").glob("last*.ckpt")), weights_only=True)
+    assert not torch.equal(*(last[key]["network.fine.readout.weight"] for key in ("state_dict", "current_model_state")))
+
+
+def test_numbers_that_are_not_finite_end_a_run_and_spoil_nothing(
+    config: Path, run: Path, make_set: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    args = ["fit", "--config", str(config), "--checkpoint.every_n_train_steps", "1"]
+    assert cli.main(args) == 0
+    before = {path: path.read_bytes() for folder in ("checkpoints", "model") for path in (run / folder).iterdir()}
+    broken = make_set(tmp_path / "broken")
+    np.load(broken / "T_world_camera.npy", mmap_mode="r+")[:] = np.nan
+    scenes = json.dumps(set_entry(broken))
+    more = ["--trainer.max_steps", "4", "--ckpt_path", "last", "--data.init_args.train", scenes]
+    line = refusal(capsys, [*args, *more])
+    file = run / "not-finite-step-2.pt"
+    assert line == f"step 2: the loss is nan: the training was ended; the batch is in {file}"
+    kept = torch.load(file, weights_only=True)
+    assert kept["batch"]["origins"].isnan().all()
+    assert kept["batch"]["inputs"]["images"].shape == (1, 3, 3, 32, 32)
+    after = {path: path.read_bytes() for folder in ("checkpoints", "model") for path in (run / folder).iterdir()}
+    assert after == before
+
+
+def test_half_precision_accumulated(config: Path, run: Path) -> None:
+    options = [
+        "--trainer.precision",
+        "bf16-mixed",
+        "--trainer.accumulate_grad_batches",
+        "2",
+        "--trainer.max_steps",
+        "1",
+    ]
+    assert cli.main(["fit", "--config", str(config), *options]) == 0
+    state = torch.load(next((run / "checkpoints").iterdir()), weights_only=True)
+    weights = load_model(run / "model").state_dict()
+    assert state["global_step"] == 1
+    assert all(value.isfinite().all() for value in weights.values())
+    with safe_open(run / "model" / "model.safetensors", "pt") as file:
+        assert file.get_tensor("fine.readout.weight").dtype == torch.float32
+
+
 def test_a_checkpoint_is_validated_on_the_held_out_set_alone(
     config: Path, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -127,6 +243,48 @@ def test_a_checkpoint_is_validated_on_the_held_out_set_alone(
     assert cli.main(args) == 0
     assert "val/psnr_objects" in capsys.readouterr().out
     assert not (tmp_path / "nowhere").exists()
+
+
+def test_a_model_goes_on_learning_from_captures(
+    config: Path, run: Path, tiny_network: Callable[..., Any], packed_set: Path, tmp_path: Path, capsys: Any
+) -> None:
+    torch.manual_seed(3)
+    start = MVNeRF(tiny_network())
+    save_model(tmp_path / "start", start)
+    for index, name in enumerate(("cup", "bowl")):
+        write_scene(tmp_path / "captures" / name, PackedScenes(packed_set).scene(index))
+    captures = str(tmp_path / "captures")
+    options = {
+        "--data.init_args.train": captures,
+        "--data.init_args.validation": captures,
+        "--data.init_args.rays_per_scene": "8",
+        "--data.init_args.target_views": "1",
+        "--data.init_args.image_size": "24",
+        "--model.init_args.init_from": str(tmp_path / "start"),
+        "--model.init_args.image_size": "24",
+        "--trainer.default_root_dir": str(run),
+        "--trainer.accelerator": "cpu",
+        "--trainer.logger": "false",
+        "--trainer.max_steps": "1",
+        "--trainer.val_check_interval": "1",
+    }
+    args = ["fit", "--config", "adapt.yaml", *(part for option in options.items() for part in option)]
+    assert cli.main(args) == 0
+    model = load_model(run / "model")
+    assert isinstance(model, MVNeRF)
+    assert model.config == replace(start.config, image_size=24)
+    moved = {
+        name: float((one - other).abs().max())
+        for (name, one), other in zip(model.state_dict().items(), start.state_dict().values(), strict=True)
+    }
+    assert 0.0 < max(moved.values()) < 1e-3, "one step away from where it started"
+
+    assert "image_size is 32, but the network's is 24" in refusal(capsys, [*args, "--data.init_args.image_size", "32"])
+    line = refusal(capsys, [*args, "--data.init_args.scenes_per_step", "3"])
+    assert line == "data.init_args.train: 3 scenes are needed at once, the set has 2"
+    assert refusal(capsys, [*args, "--data.init_args.train", "nowhere"]) == "nowhere: no such folder"
+    given = ["--config", str(config), "--model.init_args.init_from", str(tmp_path / "start")]
+    assert refusal(capsys, ["fit", *given]).startswith("model.init_args: give network or init_from, not both")
 
 
 @pytest.fixture
@@ -156,11 +314,16 @@ def grasp_config(config: Path, make_set: Callable[..., Path], tiny_network, tmp_
 def test_a_grasp_value_trains_and_does_not_resume_on_another_backbone(
     grasp_config: Path, run: Path, tiny_network, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    args = ["fit", "--config", str(grasp_config)]
+    args = ["fit", "--config", str(grasp_config), "--ema_decay", "0.9"]
     assert cli.main(args) == 0
     model = load_model(run / "model")
     assert isinstance(model, GraspValue)
     assert weights_hash(model.backbone) == weights_hash(load_model(tmp_path / "backbone"))
+    checkpoint = torch.load(run / "checkpoints" / "last.ckpt", weights_only=True)
+    for key in ("state_dict", "current_model_state"):
+        assert checkpoint[key]
+        assert not any("backbone" in name for name in checkpoint[key])
+    assert cli.main([*args, "--trainer.max_steps", "3", "--ckpt_path", "last"]) == 0
 
     torch.manual_seed(1)
     save_model(tmp_path / "backbone", MVNeRF(tiny_network()))
@@ -295,13 +458,3 @@ def test_a_file_here_goes_before_a_shipped_config(tmp_path: Path, monkeypatch: p
     assert fit.shipped_configs(["-c", "mv3.yaml"]) == ["-c", "mv3.yaml"]
     with pytest.raises(UserError, match="unknown config '/mv3.yaml'"):
         fit.shipped_configs(["--config", "/mv3.yaml"])
-
-
-def test_the_expected_time_is_told_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    callback, trainer = fit.ExpectedTime(), SimpleNamespace(global_step=100, max_steps=1921)
-    callback.on_train_start(trainer, None)  # type: ignore[arg-type]
-    for step in range(101, 140):
-        trainer.global_step = step
-        monkeypatch.setattr(fit.time, "monotonic", lambda now=2.0 * step: now)
-        callback.on_train_batch_end(trainer)  # type: ignore[arg-type]
-    assert capsys.readouterr().out == "\n2.00 s a step: about 1.0 hours to go\n"

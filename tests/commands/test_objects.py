@@ -116,6 +116,15 @@ def escaping_tar(tmp_path):
     return path
 
 
+def linking_tar(tmp_path):
+    path = tmp_path / "link.tgz"
+    with tarfile.open(path, "w:gz") as tar:
+        info = tarfile.TarInfo("link.obj")
+        info.type, info.linkname = tarfile.SYMTYPE, "/etc/passwd"
+        tar.addfile(info)
+    return path
+
+
 def escaping_zip(tmp_path):
     path = tmp_path / "bad.zip"
     with zipfile.ZipFile(path, "w") as file:
@@ -137,6 +146,7 @@ def cut_short(tmp_path):
     ("make", "message"),
     [
         (escaping_tar, "refused, something in it would land outside"),
+        (linking_tar, "refused, 'link.obj' is neither a file nor a folder"),
         (escaping_zip, "refused, something in it would land outside"),
         (cut_short, "short.tgz: the archive is damaged"),
         (lambda tmp_path: tmp_path / "none.tgz", "none.tgz: no such file or folder"),

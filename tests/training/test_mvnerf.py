@@ -1,5 +1,6 @@
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -67,3 +68,24 @@ def test_two_learning_rates(tiny_network: Callable[..., Any]) -> None:
     encoder, fields = optimizer.param_groups
     assert (encoder["lr"], fields["lr"]) == (0.1, 0.2)
     assert len(encoder["params"]) + len(fields["params"]) == len(list(module.network.parameters()))
+
+
+def test_compiled_parts_keep_their_names(tiny_network: Callable[..., Any]) -> None:
+    plain, compiled = training(tiny_network()), training(tiny_network(), compile=True)
+    assert list(compiled.state_dict()) == list(plain.state_dict())
+    parts = [compiled.network.encoder, compiled.network.coarse, compiled.network.fine]
+    assert all(part._compiled_call_impl is not None for part in parts)
+    assert plain.network.fine._compiled_call_impl is None
+
+
+def test_every_batch_of_every_process_has_its_own_samples(tiny_network: Callable[..., Any]) -> None:
+    class Placed(MVNeRFTraining):
+        global_step, global_rank = 0, 0
+
+    module, seeds = Placed(tiny_network()), set()
+    module._trainer = SimpleNamespace(accumulate_grad_batches=2)  # type: ignore[assignment]
+    for module.global_step in (0, 1):
+        for module.global_rank in (0, 1):
+            for batch in (0, 1):
+                seeds.add(module._generator(2 * module.global_step + batch).initial_seed())
+    assert len(seeds) == 8

@@ -1,0 +1,67 @@
+"""The configs at the paper's scale, built without memory."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+import yaml
+
+from nerfgrasp.commands.fit import shipped_configs
+from nerfgrasp.geometry import Camera
+from nerfgrasp.models import MVNeRF, MVNeRFConfig
+from nerfgrasp.models.folder import from_plain
+from nerfgrasp.scenes.scene import Workspace
+
+# Parameters; 85.8 million of the encoder's are the transformer's.
+COUNTS = {"encoder": 94_332_032, "coarse": 247_300, "fine": 247_300}
+
+
+def read(name: str) -> dict[str, Any]:
+    return yaml.safe_load(Path(shipped_configs(["--config", name])[1]).read_text())
+
+
+def build(name: str, **encoder: Any) -> MVNeRF:
+    plain = read(name)["model"].get("init_args", {}).get("network", {})
+    config = from_plain(MVNeRFConfig, {**plain, "encoder": {"pretrained": False, **encoder}})
+    with torch.device("meta"):
+        return MVNeRF(config)
+
+
+def count(module: torch.nn.Module) -> int:
+    return sum(weights.numel() for weights in module.parameters())
+
+
+@pytest.mark.parametrize(("name", "views"), [("mv1.yaml", 1), ("mv3.yaml", 3)])
+def test_the_paper_s_networks(name: str, views: int) -> None:
+    network = build(name)
+    assert network.config.views == views
+    assert read(name)["data"]["init_args"].get("views", 3) == views
+    assert {part: count(getattr(network, part)) for part in ("encoder", "coarse", "fine")} == COUNTS
+    with torch.device("meta"):
+        camera = Camera(torch.eye(3).expand(1, views, 3, 3), torch.eye(4).expand(1, views, 4, 4), 480, 480)
+        workspace = Workspace(torch.zeros(3), torch.ones(3))
+        features = network.observe(torch.zeros(1, views, 3, 480, 480), camera, workspace)
+        activations = network.activations(features, torch.zeros(1, 7, 5, 3), torch.zeros(1, 7, 3))
+    assert features.fine.features.shape == (1, views, 128, 480, 480)
+    assert {part.shape for part in activations} == {(1, 7, 5, 128)}
+
+
+@pytest.mark.parametrize(("vit", "width"), [("vit_small_patch16_224", 384), ("deit3_medium_patch16_224", 512)])
+def test_another_transformer_by_name(vit: str, width: int) -> None:
+    network = build("mv3.yaml", vit=vit)
+    assert network.encoder.vit.embed_dim == width
+    with torch.device("meta"):
+        assert network.encoder(torch.zeros(1, 3, 480, 480)).shape == (1, 256, 480, 480)
+    assert (count(network.coarse), count(network.fine)) == (COUNTS["coarse"], COUNTS["fine"])
+
+
+def test_one_view_and_three_differ_in_a_few_lines() -> None:
+    one, three = read("mv1.yaml"), read("mv3.yaml")
+    assert one["model"].pop("init_args") == {"network": {"views": 1}}
+    assert one["data"]["init_args"].pop("views") == 1
+    assert (one["trainer"].pop("default_root_dir"), three["trainer"].pop("default_root_dir")) == (
+        "runs/mv1",
+        "runs/mv3",
+    )
+    assert one == three
