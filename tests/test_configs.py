@@ -43,7 +43,7 @@ def test_the_paper_s_networks(name: str, views: int) -> None:
         workspace = Workspace(torch.zeros(3), torch.ones(3))
         features = network.observe(torch.zeros(1, views, 3, 480, 480), camera, workspace)
         activations = network.activations(features, torch.zeros(1, 7, 5, 3), torch.zeros(1, 7, 3))
-    assert features.fine.features.shape == (1, views, 128, 480, 480)
+    assert features.fine.features.shape == (1, views, 480, 480, 128)
     assert {part.shape for part in activations} == {(1, 7, 5, 128)}
 
 
