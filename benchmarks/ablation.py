@@ -116,9 +116,10 @@ def train(training: MVNeRFTraining, data: RayData, seconds: float) -> int:
     while (share := (time.process_time() - start) / seconds) < 1:
         for group, rate in zip(optimizer.param_groups, rates, strict=True):
             group["lr"] = rate * min(1.0, share / WARM_UP) * 0.5 * (1 + math.cos(math.pi * share))
-        loss = training.loss(data.draw(np.random.default_rng((data.seed, step))), step).total
+        batch = data.draw(np.random.default_rng((data.seed, step)))
+        coarse, fine = training.errors(batch, torch.Generator().manual_seed(step))
         optimizer.zero_grad()
-        loss.backward()
+        (coarse + fine).backward()
         optimizer.step()
         step += 1
     return step

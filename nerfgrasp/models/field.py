@@ -194,7 +194,8 @@ def sample_maps(maps: Tensor, grid: Tensor) -> Tensor:
     position = torch.minimum((0.5 * (grid + 1.0) * size - 0.5).clamp(min=0.0), size - 1.0)
     low = torch.minimum(position.detach().floor(), size - 2.0)
     x, y = (position - low).unbind(dim=-1)
-    column, row = low.long().unbind(dim=-1)
+    # A position that is no number has some row's index and no number for its share: what comes out is none either.
+    column, row = low.nan_to_num().long().unbind(dim=-1)
     first = (torch.arange(count)[:, None] * height + row) * width + column
     corners = first[..., None] + torch.tensor([0, 1, width, width + 1])
     shares = torch.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], dim=-1)

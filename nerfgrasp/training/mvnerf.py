@@ -57,15 +57,18 @@ class MVNeRFTraining(ScheduledTraining):
 
     def training_step(self, batch: RayBatch, batch_idx: int) -> Tensor:
         """Returns the loss of one batch of rays."""
-        generator = self._generator(batch_idx)
-        workspace = batch.inputs.workspace()
-        features = self.network.observe(batch.inputs.images, batch.inputs.camera(), workspace)
-        rendered = self.network.render(features, batch.origins, batch.directions, workspace, generator)
-        coarse = (rendered.coarse.colour - batch.colours).square().mean()
-        fine = (rendered.fine.colour - batch.colours).square().mean()
+        coarse, fine = self.errors(batch, self._generator(batch_idx))
         self.log("train/psnr", -10.0 * fine.detach().log10(), prog_bar=True)
         self.log("train/loss", coarse.detach() + fine.detach())
         return coarse + fine
+
+    def errors(self, batch: RayBatch, generator: torch.Generator | None = None) -> tuple[Tensor, Tensor]:
+        """Returns the mean squared errors of the coarse and of the fine rendering, whose sum is the loss."""
+        workspace = batch.inputs.workspace()
+        features = self.network.observe(batch.inputs.images, batch.inputs.camera(), workspace)
+        rendered = self.network.render(features, batch.origins, batch.directions, workspace, generator)
+        coarse, fine = ((part.colour - batch.colours).square().mean() for part in rendered)
+        return coarse, fine
 
     def validation_step(self, batch: ImageBatch, batch_idx: int) -> dict[str, Tensor]:
         """Renders a whole held-out view and measures it over the workspace and over the objects.

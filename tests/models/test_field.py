@@ -133,6 +133,13 @@ def test_maps_are_sampled_as_grid_sample_does() -> None:
         torch.testing.assert_close(pairs[0][1].grad[inside], pairs[1][1].grad[inside], atol=1e-4, rtol=1e-4)
 
 
+def test_samples_at_no_number_are_none() -> None:
+    grid = torch.tensor([[[float("nan"), 0.0], [0.0, 0.0]]])
+    found = sample_maps(torch.rand(1, 4, 4, 3), grid)
+    assert found[0, 0].isnan().all()
+    assert found[0, 1].isfinite().all()
+
+
 def test_blended_colours_are_those_of_the_views(scene, queries) -> None:
     field = Field(replace(SMALL, blend=4), 8)
     field.readout.weight.data.zero_()
