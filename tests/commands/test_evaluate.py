@@ -101,6 +101,7 @@ def test_a_cluster_changes_no_byte(case: Case, tmp_path: Path) -> None:
     assert (tmp_path / "results.jsonl").read_bytes() == case.unbroken.read_bytes()
 
 
+@pytest.mark.parametrize("case", ["simple", "clutter"], indirect=True)  # of one attempt a scene, and of several
 def test_two_workers_killed_at_any_time_and_continued(
     case: Case, tmp_path: Path, run_until_killed: Callable[..., None]
 ) -> None:
