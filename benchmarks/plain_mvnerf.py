@@ -27,21 +27,24 @@ def render(
 ) -> RayRenderings:
     """Does what `model.observe` and `model.render` do; shapes as there."""
     features = model.encoder(images.flatten(0, 1)).unflatten(0, images.shape[:2])
+    table = workspace.minimum[..., 2].flatten().expand(len(images))
     near, far = model._range(origins, directions, workspace)
     distances = stratified(near, far, model.config.coarse_samples, generator)
     coarse = render_rays(
-        lambda x, q: evaluate(model.coarse, features, images, camera, x, q), origins, directions, distances
+        lambda x, q: evaluate(model.coarse, features, images, camera, table, x, q), origins, directions, distances
     )
     drawn = importance(coarse, model.config.fine_samples, generator)
     if model.config.reuse_coarse_samples:
         drawn = torch.cat([drawn, distances], dim=-1)
     closer = drawn.sort(dim=-1).values
-    fine = render_rays(lambda x, q: evaluate(model.fine, features, images, camera, x, q), origins, directions, closer)
+    fine = render_rays(
+        lambda x, q: evaluate(model.fine, features, images, camera, table, x, q), origins, directions, closer
+    )
     return RayRenderings(coarse, fine)
 
 
 def evaluate(
-    field: Field, features: Tensor, images: Tensor, camera: Camera, points: Tensor, directions: Tensor
+    field: Field, features: Tensor, images: Tensor, camera: Camera, table: Tensor, points: Tensor, directions: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Returns RGB `[B, R, S, 3]` and density `[B, R, S]` of points `[B, R, S, 3]` seen along directions `[B, R, 3]`.
 
@@ -50,11 +53,16 @@ def evaluate(
         features: the encoder's, `[B, V, C, h, w]`.
         images: `[B, V, 3, H, W]`.
         camera: batch shape `[B, V]`.
+        table: heights `[B]` in metres.
         points: metres, world frame.
         directions: unit.
     """
     config, views = field.config, images.shape[1]
-    each = [_first_layer(field, features[:, v], images[:, v], camera[:, v], points, directions) for v in range(views)]
+    height = points[..., 2:] - table[:, None, None, None]
+    each = [
+        _first_layer(field, features[:, v], images[:, v], camera[:, v], height, points, directions)
+        for v in range(views)
+    ]
     x = torch.stack([row for row, _ in each], dim=1)
     colours = torch.stack([colour for _, colour in each], dim=1)
     for block in field.view_trunk:
@@ -74,7 +82,13 @@ def evaluate(
 
 
 def _first_layer(
-    field: Field, features: Tensor, images: Tensor, camera: Camera, points: Tensor, directions: Tensor
+    field: Field,
+    features: Tensor,
+    images: Tensor,
+    camera: Camera,
+    height: Tensor,
+    points: Tensor,
+    directions: Tensor,
 ) -> tuple[Tensor, Tensor]:
     """One view's first activations `[B, R, S, width]`, and the colours `[B, R, S, 3]` that it sees."""
     batch, rays, samples, _ = points.shape
@@ -94,6 +108,9 @@ def _first_layer(
         encode(turned, field.config.direction_frequencies),
         sampled[1],
     ]
-    layers = field.point_layer.weight, field.direction_layer.weight, field.feature_layer.weight.flatten(1)
+    layers = [field.point_layer.weight, field.direction_layer.weight, field.feature_layer.weight.flatten(1)]
+    if field.height_layer is not None:
+        inputs.append(encode(height.flatten(1, 2), field.config.height_frequencies))
+        layers.append(field.height_layer.weight)
     first = linear(torch.cat(inputs, dim=-1), torch.cat(layers, dim=1), field.point_layer.bias)
     return first.view(batch, rays, samples, -1), sampled[0].view(batch, rays, samples, 3)

@@ -11,6 +11,7 @@ from nerfgrasp.evaluation.parts import Parts
 from nerfgrasp.evaluation.results import Row, Times, read_results
 from nerfgrasp.evaluation.trials import Trials, first_scene_hash, run_scene
 from nerfgrasp.parallel import Cluster, run_all
+from nerfgrasp.scenes.images import IMAGE_SIZE
 from nerfgrasp.sim.attempt import Outcome
 from nerfgrasp.sim.catalogue import open_catalogue
 from nerfgrasp.sim.tasks import find_task
@@ -26,7 +27,7 @@ def evaluate(
     workers: int | None = None,
     cluster: Cluster | None = None,
     objects: Path | None = None,
-    size: int = 128,
+    size: int = IMAGE_SIZE,
 ) -> None:
     """Tries a grasping method in simulated scenes and writes one JSON line an attempt.
 

@@ -10,6 +10,7 @@ from nerfgrasp.data.packed import PackedWriter
 from nerfgrasp.data.settings import SetSettings
 from nerfgrasp.errors import UserError, unknown_name
 from nerfgrasp.parallel import Cluster, run_all
+from nerfgrasp.scenes.images import IMAGE_SIZE
 from nerfgrasp.scenes.scene import Workspace
 
 if TYPE_CHECKING:  # a training machine has no simulator
@@ -33,7 +34,7 @@ def generate(
     views: int = 24,
     seed: int = 0,
     out: Path,
-    size: int = 128,
+    size: int = IMAGE_SIZE,
     demonstrations: bool = True,
     workers: int | None = None,
     cluster: Cluster | None = None,

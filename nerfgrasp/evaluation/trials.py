@@ -17,6 +17,7 @@ from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.methods import Method, load_method
 from nerfgrasp.evaluation.results import Row, Times
 from nerfgrasp.geometry import Camera, is_rigid, make_pose
+from nerfgrasp.scenes.images import IMAGE_SIZE
 from nerfgrasp.scenes.objects import object_name
 from nerfgrasp.scenes.oracle import grasp_errors, valid_grasps
 from nerfgrasp.scenes.prisms import Prism
@@ -47,7 +48,7 @@ class Trials:
     """The model folder that the method is loaded from; None for its default."""
     model: str | None
     """Hash of the method's weights."""
-    size: int = 128
+    size: int = IMAGE_SIZE
     """Width and height of a picture in pixels."""
     catalogue: str | None = None
     """Hash of the catalogue that the objects come from."""

@@ -33,6 +33,9 @@ class FieldConfig:
     blend: int = 0
     """Channels of an attention that blends the colours that the views see at a point into the point's own; 0 for none,
     as in the paper. Views that do not see the point are to be told from those that do."""
+    height_frequencies: int = 0
+    """Frequencies that encode a point's height above the table, the workspace's lower face; 0 for none, as in the
+    paper. One view alone shows where the table is only roughly, and objects stand on it."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,8 @@ class ViewMaps:
     """`[B, V, 3, H, W]`, RGB in [0, 1]."""
     camera: Camera
     """Batch shape `[B, V]`."""
+    table: Tensor
+    """`[B]`: the table's height in the world frame, metres."""
 
 
 class Field(nn.Module):
@@ -64,6 +69,8 @@ class Field(nn.Module):
         self.feature_layer = nn.Conv2d(feature_channels, width, 1, bias=False)
         self.direction_layer = nn.Linear(6 * config.direction_frequencies, width, bias=False)
         self.point_layer = nn.Linear(6 * config.position_frequencies + 3, width)
+        heights = config.height_frequencies
+        self.height_layer = nn.Linear(2 * heights, width, bias=False) if heights else None
         self.view_trunk = nn.ModuleList(ResidualBlock(width) for _ in range(config.view_blocks))
         self.pool_layer = nn.Linear(2 * width, width) if config.pool_variance else nn.Identity()
         self.fused_trunk = nn.ModuleList(ResidualBlock(width) for _ in range(config.fused_blocks))
@@ -124,6 +131,9 @@ class Field(nn.Module):
         turned = directions[:, None] @ T_camera_world[..., :3, :3].transpose(-1, -2)
         direction_part = self.direction_layer(encode(turned, self.config.direction_frequencies))
         x = point_part.view(batch, views, rays, samples, -1) + direction_part[..., None, :]
+        if self.height_layer is not None:
+            height = points[..., 2:] - maps.table[:, None, None, None]
+            x = x + self.height_layer(encode(height, self.config.height_frequencies))[:, None]
         for block in self.view_trunk:
             x = block(x)
         return x, colours.view(batch, views, rays, samples, 3)
@@ -165,7 +175,7 @@ class ResidualBlock(nn.Module):
 
 
 def encode(x: Tensor, frequencies: int) -> Tensor:
-    """Positional encoding: sin(π 2ᵏ x), cos(π 2ᵏ x) for k < `frequencies`; `[..., 3]` to `[..., 6·frequencies]`.
+    """Positional encoding: sin(π 2ᵏ x), cos(π 2ᵏ x) for k < `frequencies`; `[..., D]` to `[..., 2·D·frequencies]`.
 
     Source: Mildenhall et al. 2020, equation 4, with the factor π.
     """

@@ -85,9 +85,10 @@ class MVNeRF(nn.Module):
         """
         images, camera = self.fit_images(images, camera, workspace)
         features = self.encoder(images.flatten(0, 1))
+        table = workspace.minimum[..., 2].flatten().expand(len(images))
 
         def maps(network: Field) -> ViewMaps:
-            return ViewMaps(network.project_features(features).unflatten(0, images.shape[:2]), images, camera)
+            return ViewMaps(network.project_features(features).unflatten(0, images.shape[:2]), images, camera, table)
 
         return SceneFeatures(None if fine_only else maps(self.coarse), maps(self.fine))
 

@@ -9,6 +9,9 @@ from torch import Tensor
 
 from nerfgrasp.errors import UserError
 
+IMAGE_SIZE = 192
+"""Side in pixels of the simulated scenes' square images, unless another is asked for: what the shipped models know."""
+
 
 def image_size(path: Path, where: str) -> tuple[int, int]:
     """Returns an image's width and height in pixels, from its head alone.

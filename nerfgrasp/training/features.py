@@ -31,7 +31,7 @@ class FeatureCache:
             [self._one(key, image) for key, image in zip(*row, strict=True)] for row in zip(keys, images, strict=True)
         ]
         features = torch.stack([torch.stack(row) for row in maps]).float()
-        return SceneFeatures(None, ViewMaps(features, images, camera))
+        return SceneFeatures(None, ViewMaps(features, images, camera, box.minimum[..., 2].flatten()))
 
     def _one(self, key: tuple[int, int], image: Tensor) -> Tensor:
         if key not in self._maps:

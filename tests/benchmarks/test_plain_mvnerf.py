@@ -18,7 +18,11 @@ def case(request: pytest.FixtureRequest, tiny_network: Callable[..., Any], camer
     torch.manual_seed(0)
     config: MVNeRFConfig = tiny_network()
     if request.param == "all options":
-        config = replace(config, fine=replace(config.fine, pool_variance=True, blend=8), reuse_coarse_samples=False)
+        config = replace(
+            config,
+            fine=replace(config.fine, pool_variance=True, blend=8, height_frequencies=3),
+            reuse_coarse_samples=False,
+        )
     flat = cameras(6)
     camera = Camera(flat.intrinsics.unflatten(0, (2, 3)), flat.T_world_camera.unflatten(0, (2, 3)), 32, 32)
     pixels = 32 * torch.rand(2, 12, 2)

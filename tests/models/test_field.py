@@ -34,7 +34,8 @@ def queries() -> tuple[Tensor, Tensor]:
 
 def maps(field: Field, scene: tuple[Tensor, Tensor, Camera]) -> ViewMaps:
     features, images, camera = scene
-    return ViewMaps(field.project_features(features.flatten(0, 1)).unflatten(0, features.shape[:2]), images, camera)
+    projected = field.project_features(features.flatten(0, 1)).unflatten(0, features.shape[:2])
+    return ViewMaps(projected, images, camera, torch.zeros(len(images)))
 
 
 def test_encoding_by_hand() -> None:
@@ -104,6 +105,23 @@ def test_the_order_of_views_does_not_matter(scene, queries, variance: bool) -> N
     turned = (features[:, order], images[:, order], camera[:, order])
     for one, other in zip(field(maps(field, scene), *queries), field(maps(field, turned), *queries), strict=True):
         torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-5)
+
+
+def test_a_known_table_moves_with_the_scene(scene, queries) -> None:
+    torch.manual_seed(2)
+    field = Field(FieldConfig(width=16, height_frequencies=4), 8)
+    features, images, camera = scene
+    points, directions = queries
+    there = field(maps(field, scene), points, directions)
+    shift = torch.tensor([0.7, -0.4, 0.3])
+    T_world_camera = camera.T_world_camera.clone()
+    T_world_camera[..., :3, 3] += shift
+    moved = maps(field, (features, images, replace(camera, T_world_camera=T_world_camera)))
+    raised = replace(moved, table=torch.full((2,), 0.3))
+    for one, other in zip(there, field(raised, points + shift, directions), strict=True):
+        torch.testing.assert_close(one, other, atol=1e-4, rtol=1e-4)
+    below = field(replace(moved, table=torch.full((2,), 0.1)), points + shift, directions)
+    assert (below[1] - there[1]).abs().max() > 1e-3
 
 
 def test_variance_is_pooled_by_its_formula() -> None:

@@ -8,6 +8,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from nerfgrasp.geometry import Camera, look_at
+from nerfgrasp.scenes.images import IMAGE_SIZE
 from nerfgrasp.sim.tasks.draws import scene_generator
 
 CAMERA_DISTANCE = 0.8
@@ -19,7 +20,7 @@ MIN_SPREAD = math.radians(60.0)
 _CAMERA_STREAM = 1
 
 
-def scene_cameras(seed: int, index: int, views: int, size: int = 128) -> Camera:
+def scene_cameras(seed: int, index: int, views: int, size: int = IMAGE_SIZE) -> Camera:
     """Returns cameras `[views]` on a sphere about the workspace's centre on the table, looking at it.
 
     The first three views' azimuths lie at least 60° apart, and asking for more views changes none of the first.
