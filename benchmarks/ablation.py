@@ -90,6 +90,7 @@ def prepare(scenes: SceneSet) -> None:
         seed=scenes.seed,
         out=Path(scenes.folder),
         size=scenes.size,
+        demonstrations=scenes.demonstrations,
     )
 
 
