@@ -14,6 +14,7 @@ from nerfgrasp.errors import UserError, unknown_name
 COMMANDS = {
     "optimize": "find grasps in a scene: gradient ascent on the grasp value",
     "render": "show a scene as a model renders it, from its views or on an orbit",
+    "slices": "show grasp values beside the truth in slices through a valid grasp",
     "generate": "draw simulated scenes and pack them as a training set",
     "fit": "train a backbone or a grasp value from a config",
     "validate": "run a config's validation on a checkpoint",

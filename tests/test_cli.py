@@ -80,6 +80,37 @@ def test_arguments_are_parsed_by_the_signature(fake, capsys: pytest.CaptureFixtu
     assert capsys.readouterr().out == "demo 1\ndemo 5\n"
 
 
+@pytest.mark.parametrize(
+    ("args", "names"),
+    [
+        (["--name", "one"], ("one",)),
+        (["--name", "one", "two", "--count", "3"], ("one", "two")),
+        (["--count=3", "--name=one", "two/a b"], ("one", "two/a b")),
+        (["--name", "[one, two]"], ("one", "two")),
+        (["--name=[one, two]"], ("one", "two")),
+        (["--name=[]"], ()),
+        ([], ("default",)),
+    ],
+)
+def test_an_option_may_take_many(fake, args: list[str], names: tuple[str, ...]) -> None:
+    found: list[tuple[str, ...]] = []
+
+    def command(name: tuple[str, ...] = ("default",), count: int = 1) -> None:
+        found.append(name)
+
+    fake(command)
+    assert cli.main(["fake", *args]) == 0
+    assert found == [names]
+
+
+def test_an_option_that_takes_many_needs_one(fake, capsys: pytest.CaptureFixture[str]) -> None:
+    def command(name: tuple[str, ...] = ("default",), count: int = 1) -> None:
+        raise AssertionError("the command is not run")
+
+    fake(command)
+    assert refusal(capsys, ["fake", "--name", "--count=2"]) == "argument --name: expected one argument"
+
+
 def test_print_config(fake, capsys: pytest.CaptureFixture[str]) -> None:
     def command(scene: str = "demo", count: int = 1) -> None:
         raise AssertionError("the command is not run")

@@ -22,7 +22,7 @@ from nerfgrasp.search.ascent import Trace
 from nerfgrasp.search.psi import Psi
 from nerfgrasp.search.ranking import distinct
 from nerfgrasp.viz.figures import picture
-from nerfgrasp.viz.imagination import imagine
+from nerfgrasp.viz.imagination import imagine, imagined_panels
 
 VALUE_NOTE = "value is a logit, comparable within one scene only"
 _HEADER = "rank  position x, y, z (m)      tilt (deg)   value"
@@ -149,9 +149,9 @@ def _attempt_in_physics(scene: Scene) -> Callable[[Tensor], str]:
 
 def _write(folder: Path, scene: Scene, method: Psi, grasps: Grasps, trace: Trace, data: dict[str, Any]) -> None:
     used = scene.observations.select(slice(method.images))
-    imagined = imagine(method.model, used, scene.workspace)
+    imagined = imagine(method.model, used, scene.workspace, grasps.T_world_grasp[0])
     write_json(folder / "grasps.json", data, indent=2)
-    picture(used, grasps, imagined, _facts(grasps, data)).save(folder / "picture.png")
+    picture(used, grasps, imagined_panels(imagined), _facts(grasps, data)).save(folder / "picture.png")
     if find_spec("rerun") is None:
         print("rerun is not installed: no optimization.rrd is written")
         return

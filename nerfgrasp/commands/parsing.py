@@ -1,9 +1,10 @@
 """How arguments and configs are parsed: jsonargparse, with one-line errors that name near misses."""
 
+import json
 import re
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
-from typing import Any, NoReturn, get_type_hints
+from typing import Any, NoReturn, get_origin, get_type_hints
 
 from jsonargparse import ArgumentParser, auto_cli
 
@@ -42,7 +43,8 @@ def call(function: Callable[..., Any], args: list[str], *, prog: str) -> Any:
     Raises:
         UserError: the arguments or a `--config` do not fit the signature.
     """
-    return auto_cli(function, args=_flags_set(function, args), as_positional=False, parser_class=Parser, prog=prog)
+    given = _lists_gathered(function, _flags_set(function, args))
+    return auto_cli(function, args=given, as_positional=False, parser_class=Parser, prog=prog)
 
 
 def _flags_set(function: Callable[..., Any], args: list[str]) -> list[str]:
@@ -53,6 +55,23 @@ def _flags_set(function: Callable[..., Any], args: list[str]) -> list[str]:
         f"{argument}=true" if argument in flags and after.startswith("-") else argument
         for argument, after in zip(args, following, strict=False)
     ]
+
+
+def _lists_gathered(function: Callable[..., Any], args: list[str]) -> list[str]:
+    """Returns the arguments with `--names one two` written as `--names=["one", "two"]` where an option takes many."""
+    several = {f"--{name}" for name, kind in get_type_hints(function).items() if get_origin(kind) in (list, tuple)}
+    gathered: list[str] = []
+    left = list(args)
+    while left:
+        option, joined, value = left.pop(0).partition("=")
+        values = [value] if joined else []
+        while option in several and left and not left[0].startswith("-"):
+            values.append(left.pop(0))
+        plain = option in several and values and not values[0].startswith("[")
+        gathered += (
+            [f"{option}={json.dumps(values)}"] if plain else [f"{option}{joined}{value}", *values[bool(joined) :]]
+        )
+    return gathered
 
 
 def one_line(message: str) -> str:

@@ -24,25 +24,27 @@ class Panel:
     """`[H, W, 3]`, RGB in [0, 1]."""
     camera: Camera
     """Batch shape `[]`, of the image's size."""
+    fingers_only: bool = False
+    """Whether of the gripper only the fingers are drawn, where the rest would hide what is between them."""
 
 
 def picture(
-    observations: Observations, grasps: Grasps, imagined: Sequence[Panel], facts: Sequence[str] = ()
+    observations: Observations, grasps: Grasps, imagined: Sequence[Sequence[Panel]], facts: Sequence[str] = ()
 ) -> Image.Image:
-    """Draws the best grasp over the input views (top row) and over imagined ones (bottom row).
+    """Draws the best grasp over the input views (top row) and over imagined ones (the rows below).
 
     Args:
         observations: the views that the search used.
         grasps: best first; only the first is drawn.
-        imagined: further images, see `nerfgrasp.viz.imagination`.
-        facts: lines of text that stand beside the imagined images, the first one larger.
+        imagined: rows of further images, see `nerfgrasp.viz.imagination`.
+        facts: lines of text that stand at the end of the last row, the first one larger.
     """
     images = observations.images.permute(0, 2, 3, 1)
     views = [Panel(f"input view {i + 1}", images[i], observations.camera[i]) for i in range(len(observations))]
     best = grasps.T_world_grasp[0].detach().cpu()
-    rows = [[_render_panel(panel, best) for panel in row] for row in (views, imagined) if row]
+    rows = [[_render_panel(panel, best) for panel in row] for row in (views, *imagined)]
     if facts:
-        (rows[-1] if imagined else rows[0]).append(_render_facts(facts, rows[0][0].height))
+        rows[-1].append(_render_facts(facts, rows[-1][0].height))
     return stack(rows)
 
 
@@ -58,7 +60,8 @@ def at_width(rgb: Tensor, width: int) -> Image.Image:
 
 
 def _render_panel(panel: Panel, T_world_grasp: Tensor) -> Image.Image:
-    drawn = draw_gripper(at_width(panel.image, PANEL_WIDTH), panel.camera.to("cpu"), T_world_grasp)
+    image, camera = at_width(panel.image, PANEL_WIDTH), panel.camera.to("cpu")
+    drawn = draw_gripper(image, camera, T_world_grasp, fingers_only=panel.fingers_only)
     return captioned(drawn, panel.title)
 
 

@@ -34,19 +34,23 @@ def gripper_lines(T_world_grasp: Tensor) -> Tensor:
     return torch.stack([points[..., :-1, :], points[..., 1:, :]], dim=-2)
 
 
-def draw_gripper(image: Image.Image, camera: Camera, T_world_grasp: Tensor, *, oversample: int = 3) -> Image.Image:
+def draw_gripper(
+    image: Image.Image, camera: Camera, T_world_grasp: Tensor, *, fingers_only: bool = False, oversample: int = 3
+) -> Image.Image:
     """Returns the image with a gripper drawn over it, thicker where it is nearer.
 
     Args:
         image: any size of the camera's aspect ratio.
         camera: batch shape `[]`.
         T_world_grasp: `[4, 4]`.
+        fingers_only: whether palm and stem are left out.
         oversample: the drawing is made this many times larger and shrunk, which smooths its edges.
     """
     size = (image.width * oversample, image.height * oversample)
     scale = size[0] / camera.width
     canvas = image.convert("RGB").resize(size, Image.Resampling.BICUBIC)
-    pixels, depth = project(camera, gripper_lines(T_world_grasp).flatten(0, 1))
+    lines = gripper_lines(T_world_grasp)
+    pixels, depth = project(camera, (lines[[0, -1]] if fingers_only else lines).flatten(0, 1))
     ends, depth = (pixels * scale).unflatten(0, (-1, 2)), depth.unflatten(0, (-1, 2))
     width = float(camera.intrinsics[0, 0]) * scale * THICKNESS / depth.mean(dim=-1)
     order = [i for i in torch.argsort(depth.mean(dim=-1), descending=True).tolist() if depth[i].min() > _NEAR]

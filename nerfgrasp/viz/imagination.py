@@ -1,6 +1,7 @@
-"""The scene as a model imagines it, from sides that no input image shows."""
+"""The scene as a model imagines it, from sides that no input image shows and from a grasp's own viewpoint."""
 
 import math
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
@@ -9,23 +10,58 @@ from nerfgrasp.geometry import Camera, look_at, shrink
 from nerfgrasp.models.grasp_value import GraspValue
 from nerfgrasp.scenes.scene import Observations, Workspace
 from nerfgrasp.viz.figures import Panel
-from nerfgrasp.viz.renderings import panels, render_views
+from nerfgrasp.viz.renderings import RenderedView, panels, render_views
+
+IMAGINED, FROM_GRASP = "imagined", "from_grasp"
+"""The names of what `imagine` renders: the side that the inputs leave out, and what lies before a grasp."""
+GRASP_DISTANCE = 0.18
+"""Metres from the tool centre point at which the grasp's own viewpoint lies, behind the palm."""
+_TITLES = {IMAGINED: "imagined from another side", FROM_GRASP: "imagined from the grasp"}
 
 
-def imagine(model: GraspValue, observations: Observations, workspace: Workspace, longer_side: int = 128) -> list[Panel]:
-    """Renders the model's RGB and depth from the side that its input images leave out.
+def imagine(
+    model: GraspValue,
+    observations: Observations,
+    workspace: Workspace,
+    T_world_grasp: Tensor | None = None,
+    longer_side: int = 128,
+) -> dict[str, RenderedView]:
+    """Renders the model's RGB and depth from the side that its input images leave out, and from a grasp.
 
     Args:
         model: its backbone renders.
         observations: as many views as the model sees at once are used, from the front.
         workspace: where the scene is.
+        T_world_grasp: `[4, 4]`, see `grasp_camera`; without it the second render is left out.
         longer_side: an image larger than this is rendered smaller, to keep it quick; pixels.
     """
     used = observations.select(slice(model.views))
-    camera = shrink(opposite_camera(used.camera, workspace), longer_side)
-    shown = panels(next(render_views(model.backbone, used, camera[None], workspace)))
-    titles = {"rendered": "imagined from another side", "depth": "its depth"}
-    return [Panel(title, shown[name].image, camera) for name, title in titles.items()]
+    cameras = {IMAGINED: shrink(opposite_camera(used.camera, workspace), longer_side)}
+    if T_world_grasp is not None:
+        cameras[FROM_GRASP] = grasp_camera(T_world_grasp.to(used.images), longer_side)
+    return {name: next(render_views(model.backbone, used, camera[None], workspace)) for name, camera in cameras.items()}
+
+
+def imagined_panels(views: Mapping[str, RenderedView]) -> list[list[Panel]]:
+    """Returns rows of panels of what `imagine` rendered: RGB and depth of each view."""
+    rows = []
+    for name, view in views.items():
+        shown, close = panels(view), name == FROM_GRASP
+        titles = {"rendered": _TITLES[name], "depth": "its depth"}
+        rows.append([Panel(title, shown[key].image, view.camera, fingers_only=close) for key, title in titles.items()])
+    return rows
+
+
+def grasp_camera(T_world_grasp: Tensor, size: int = 128) -> Camera:
+    """Returns a camera, batch shape `[]`, behind a grasp `[4, 4]` that looks along its approach.
+
+    The tool centre point is amid a square image of `size` pixels, which shows there as much as the camera is away; the
+    closing axis is horizontal.
+    """
+    T_grasp_camera = torch.eye(4).to(T_world_grasp)
+    T_grasp_camera[2, 3] = -GRASP_DISTANCE
+    intrinsics = torch.tensor([[size, 0.0, size / 2], [0.0, size, size / 2], [0.0, 0.0, 1.0]]).to(T_world_grasp)
+    return Camera(intrinsics, T_world_grasp @ T_grasp_camera, size, size)
 
 
 def opposite_camera(camera: Camera, workspace: Workspace) -> Camera:

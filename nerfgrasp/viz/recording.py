@@ -13,7 +13,6 @@ from torch import Tensor
 from nerfgrasp.geometry import Camera
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.search.ascent import Trace
-from nerfgrasp.viz.figures import Panel
 from nerfgrasp.viz.gripper import gripper_strip
 from nerfgrasp.viz.renderings import RenderedView, grey_outside
 
@@ -22,7 +21,8 @@ FRAMES = "frame"
 """The timeline of an orbit."""
 MOST_CANDIDATES = 256
 _WINNER, _BOX = (255, 106, 19), (150, 150, 160)
-_CURVES = {"best": _WINNER, "median": (90, 130, 220)}
+_CURVES = {"winner": _WINNER, "best": (225, 185, 60), "median": (90, 130, 220)}
+"""Of the candidate that became the result, and over all candidates at each iteration."""
 
 
 def record_search(
@@ -31,7 +31,7 @@ def record_search(
     workspace: Workspace,
     trace: Trace,
     grasps: Grasps,
-    imagined: Sequence[Panel] = (),
+    imagined: Mapping[str, RenderedView] | None = None,
 ) -> None:
     """Writes a search as an `.rrd` file that opens with its own blueprint.
 
@@ -41,14 +41,15 @@ def record_search(
         workspace: where it searched.
         trace: of the candidates; the best `MOST_CANDIDATES` of them are shown.
         grasps: the result, best first.
-        imagined: renders, of one size and camera each.
+        imagined: what the model renders, by name, see `nerfgrasp.viz.imagination`.
     """
+    imagined = imagined or {}
     names = [f"camera_{i}" for i in range(len(observations))]
-    blueprint = _blueprint(len(observations), len(imagined))
+    blueprint = _blueprint(names, list(imagined))
     recording = _start("nerfgrasp_optimize", path, blueprint, workspace, observations, names)
-    for i, panel in enumerate(imagined):
-        _log_image(recording, f"world/imagined_{i}", panel.image, panel.camera)
-    _log_trace(recording, trace)
+    for name, view in imagined.items():
+        _log_view(recording, f"world/{name}", view, static=True)
+    _log_trace(recording, trace, _winner(trace, grasps))
     winner = gripper_strip(grasps.T_world_grasp[:1]).cpu().numpy()
     label = f"value {float(grasps.value[0]):.2f}"
     recording.log("world/grasp", rr.LineStrips3D(winner, colors=[_WINNER], radii=[0.004], labels=[label]), static=True)
@@ -153,18 +154,32 @@ def _bytes(image: Tensor) -> NDArray[np.uint8]:
     return pixels
 
 
-def _log_trace(recording: rr.RecordingStream, trace: Trace) -> None:
+def _winner(trace: Trace, grasps: Grasps) -> int | None:
+    """The number of the candidate that ended as the best grasp; None if it was moved after its climb."""
+    same = torch.isclose(trace.T_world_grasp[-1], grasps.T_world_grasp[0], atol=1e-6).flatten(1).all(dim=1)
+    return int(same.byte().argmax()) if bool(same.any()) else None
+
+
+def _log_trace(recording: rr.RecordingStream, trace: Trace, winner: int | None) -> None:
     shown = trace.value[-1].nan_to_num(-torch.inf).topk(min(MOST_CANDIDATES, trace.value.shape[1])).indices
-    strips = gripper_strip(trace.T_world_grasp[:, shown]).detach().cpu().numpy()
-    colours = _colours(trace.value[:, shown].detach().cpu().numpy())
-    for name, colour in _CURVES.items():
-        recording.log(f"value/{name}", rr.SeriesLines(colors=[colour], names=[name], widths=[2.0]), static=True)
-    for iteration, value in enumerate(trace.value.detach().cpu()):
+    strips = gripper_strip(trace.T_world_grasp).detach().cpu()
+    value = trace.value.detach().cpu()
+    colours = _colours(value[:, shown].numpy())
+    curves = {"best": value.nan_to_num(-torch.inf).amax(dim=1), "median": value.nanmedian(dim=1).values}
+    if winner is not None:
+        curves["winner"] = value[:, winner]
+    for name in curves:
+        lines = rr.SeriesLines(colors=[_CURVES[name]], names=[name], widths=[2.0])
+        recording.log(f"value/{name}", lines, static=True)
+    for iteration in range(len(value)):
         recording.set_time(TIMELINE, sequence=iteration)
-        grippers = rr.LineStrips3D(strips[iteration], colors=colours[iteration], radii=[0.0007])
+        grippers = rr.LineStrips3D(strips[iteration, shown].numpy(), colors=colours[iteration], radii=[0.0007])
         recording.log("world/candidates", grippers)
-        for name, number in (("best", value.max()), ("median", value.median())):
-            recording.log(f"value/{name}", rr.Scalars([float(number)]))
+        if winner is not None:
+            moving = rr.LineStrips3D(strips[iteration, winner, None].numpy(), colors=[_WINNER], radii=[0.0025])
+            recording.log("world/winner", moving)
+        for name, curve in curves.items():
+            recording.log(f"value/{name}", rr.Scalars([float(curve[iteration])]))
     recording.reset_time()
 
 
@@ -181,18 +196,23 @@ def _size(workspace: Workspace) -> list[float]:
     return (workspace.maximum - workspace.minimum).tolist()
 
 
-def _blueprint(views: int, imagined: int) -> rrb.Blueprint:
-    """The 3D view left; images (the grasp drawn over each) and curves right."""
-    names = [(f"world/camera_{i}", f"view {i + 1}") for i in range(views)]
-    names += [(f"world/imagined_{i}", f"imagined {i + 1}") for i in range(imagined)]
-    images = [
-        rrb.Spatial2DView(origin=origin, contents=["$origin/**", "world/grasp"], name=name) for origin, name in names
-    ]
+def _blueprint(views: Sequence[str], imagined: Sequence[str]) -> rrb.Blueprint:
+    """The 3D view left; right the input views, what the model imagines (the grasp drawn over each) and the curves."""
+    hidden = [f"- /world/{name}/depth" for name in imagined]  # as point clouds they would hide the candidates
+    space = rrb.Spatial3DView(origin="world", contents=["$origin/**", *hidden], name="search")
+    rows = [rrb.Horizontal(*[_with_grasp(name, "image", f"view {i + 1}") for i, name in enumerate(views)])]
+    if imagined:
+        titles = [(name, kind, f"{name}: {kind}".replace("_", " ")) for name in imagined for kind in ("image", "depth")]
+        rows.append(rrb.Horizontal(*[_with_grasp(*each) for each in titles]))
     curves = rrb.TimeSeriesView(origin="value", name="value (logit, comparable within this scene only)")
-    right = rrb.Vertical(rrb.Grid(*images), curves, row_shares=[2, 1])
-    space = rrb.Spatial3DView(origin="world", name="search")
+    right = rrb.Vertical(*rows, curves)
     layout = rrb.Horizontal(space, right, column_shares=[3, 2])
     return rrb.Blueprint(layout, rrb.TimePanel(timeline=TIMELINE, state="expanded"), collapse_panels=True)
+
+
+def _with_grasp(name: str, kind: str, title: str) -> rrb.Spatial2DView:
+    contents = ["$origin", f"$origin/{kind}", "/world/grasp"]
+    return rrb.Spatial2DView(origin=f"world/{name}", contents=contents, name=title)
 
 
 def _views_blueprint(views: Mapping[str, RenderedView]) -> rrb.Blueprint:

@@ -88,12 +88,12 @@ def depth_limits(views: Sequence[RenderedView]) -> tuple[float, float]:
 def colour_depth(depth: Tensor, inside: Tensor, limits: tuple[float, float]) -> Tensor:
     """Returns depth `[H, W]` as RGB `[H, W, 3]` in [0, 1]: bright is near, grey where not `inside` `[H, W]`."""
     near, far = limits
-    return grey_outside(_painted((far - depth) / max(far - near, 1e-6)), inside.cpu())
+    return grey_outside(paint((far - depth) / max(far - near, 1e-6)), inside.cpu())
 
 
 def colour_error(rgb: Tensor, truth: Tensor, inside: Tensor) -> Tensor:
     """Returns how far colours `[H, W, 3]` are off as RGB `[H, W, 3]`: black is right, grey where not `inside`."""
-    return grey_outside(_painted((rgb - truth).abs().mean(dim=-1) / WORST), inside.cpu())
+    return grey_outside(paint((rgb - truth).abs().mean(dim=-1) / WORST), inside.cpu())
 
 
 def grey_outside(rgb: Tensor, inside: Tensor) -> Tensor:
@@ -101,8 +101,8 @@ def grey_outside(rgb: Tensor, inside: Tensor) -> Tensor:
     return torch.where(inside[..., None], rgb, torch.full_like(rgb, OUTSIDE))
 
 
-def _painted(share: Tensor) -> Tensor:
-    """RGB `[H, W, 3]` of shares `[H, W]`: 0 is dark, 1 is bright."""
+def paint(share: Tensor, colours: str = "magma") -> Tensor:
+    """Returns RGB `[H, W, 3]` of shares `[H, W]` in one of matplotlib's colormaps: 0 is dark, 1 is bright."""
     from matplotlib import colormaps
 
-    return torch.from_numpy(colormaps["magma"](share.clamp(0.0, 1.0).cpu().numpy())[..., :3]).float()
+    return torch.from_numpy(colormaps[colours](share.clamp(0.0, 1.0).cpu().numpy())[..., :3]).float()

@@ -17,12 +17,14 @@ def test_to_image_rounds_and_clips() -> None:
 def test_picture_holds_inputs_above_and_imagined_below(
     observations: Observations, grasps: Grasps, camera: Camera
 ) -> None:
-    imagined = [Panel("render", torch.tensor([0.0, 1.0, 0.0]).expand(48, 64, 3), camera[1])]
+    green = torch.tensor([0.0, 1.0, 0.0]).expand(48, 64, 3)
+    imagined = [[Panel("render", green, camera[1])], [Panel("closer", 1 - green, camera[1])]]
     image = picture(observations, grasps, imagined, ["best grasp", "somewhere"])
-    assert image.size == (WIDTH, 2 * (HEIGHT + MARGIN))
+    assert image.size == (WIDTH, 3 * (HEIGHT + MARGIN))
     assert image.getpixel((MARGIN + 5, CAPTION + 5)) == (128, 128, 128)
     assert image.getpixel((MARGIN + 5, HEIGHT + MARGIN + CAPTION + 5)) == (0, 255, 0)
-    facts = np.asarray(image.crop((2 * MARGIN + PANEL_WIDTH, HEIGHT + MARGIN, WIDTH, image.height)))
+    assert image.getpixel((MARGIN + 5, 2 * (HEIGHT + MARGIN) + CAPTION + 5)) == (255, 0, 255)
+    facts = np.asarray(image.crop((2 * MARGIN + PANEL_WIDTH, 2 * (HEIGHT + MARGIN), WIDTH, image.height)))
     assert facts.min() < 60  # something is written there
 
 

@@ -46,3 +46,13 @@ def test_a_gripper_behind_the_camera_is_not_drawn(camera: Camera) -> None:
     behind[:3, 3] = torch.tensor([1.5, 0.0, 1.2])
     grey = Image.new("RGB", (128, 96), (128, 128, 128))
     assert np.abs(np.asarray(draw_gripper(grey, camera[0], behind)).astype(int) - 128).max() <= 1
+
+
+def test_the_fingers_alone_leave_the_middle_free(camera: Camera, grasps: Grasps) -> None:
+    plain = Image.new("RGB", (256, 192), (0, 0, 255))
+    whole, fingers = (
+        np.asarray(draw_gripper(plain, camera[0], grasps.T_world_grasp[0], fingers_only=only)).astype(int)
+        for only in (False, True)
+    )
+    painted = [(drawn != (0, 0, 255)).any(axis=-1).sum() for drawn in (whole, fingers)]
+    assert 0 < painted[1] < 0.8 * painted[0]

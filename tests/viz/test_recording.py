@@ -7,19 +7,21 @@ import torch
 from nerfgrasp.geometry import Camera
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.search import Trace
-from nerfgrasp.viz.figures import Panel
+from nerfgrasp.viz.renderings import RenderedView
 
 rerun_chunk = pytest.importorskip("rerun.chunk")
 from nerfgrasp.viz import recording  # noqa: E402  # it imports rerun
 
-CAMERAS = {f"/world/{name}" for name in ("camera_0", "camera_1", "camera_2", "imagined_0")}
+CAMERAS = {f"/world/{name}" for name in ("camera_0", "camera_1", "camera_2", "imagined", "from_grasp")}
 
 
 @pytest.fixture
 def path(tmp_path: Path, observations: Observations, grasps: Grasps, camera: Camera) -> Path:
     value = torch.tensor([[0.0, 1.0], [0.5, 1.5], [1.0, 2.0]])
     trace = Trace(grasps.T_world_grasp.flip(0).expand(3, 2, 4, 4), value)
-    imagined = [Panel("render", torch.zeros(48, 64, 3), camera[1])]
+    shown = torch.ones(48, 64, dtype=torch.bool)
+    views = [RenderedView(camera[i], torch.zeros(48, 64, 3), torch.full((48, 64), 0.25), shown) for i in (1, 2)]
+    imagined = dict(zip(("imagined", "from_grasp"), views, strict=True))
     file = tmp_path / "optimization.rrd"
     recording.record_search(file, observations, Workspace(), trace, grasps, imagined)
     return file
@@ -53,6 +55,34 @@ def test_candidates_and_curves_run_over_iterations(path: Path) -> None:
         assert read(path, entity, recording.TIMELINE) == [0, 1, 2]
     assert read(path, "/value/best", "scalars") == [[1.0], [1.5], [2.0]]
     assert read(path, "/value/median", "scalars") == [[0.0], [0.5], [1.0]]
+
+
+def test_the_candidate_that_became_the_result_is_followed(path: Path, grasps: Grasps) -> None:
+    # Candidates stand in the trace in the reverse order of the result: its first is their last.
+    assert read(path, "/value/winner", "scalars") == [[1.0], [1.5], [2.0]]
+    strips = np.array(read(path, "/world/winner", "strips"))
+    assert strips.shape == (3, 1, 7, 3)
+    fingers = strips[-1, 0, [0, -1]].mean(axis=0)
+    assert fingers[:2].tolist() == pytest.approx(grasps.T_world_grasp[0, :2, 3].tolist(), abs=1e-6)
+
+
+def test_a_result_that_is_no_candidate_is_not_followed(
+    tmp_path: Path, observations: Observations, grasps: Grasps
+) -> None:
+    moved = grasps.T_world_grasp + 0.1
+    trace = Trace(moved.expand(2, 2, 4, 4), torch.tensor([[0.0, torch.nan], [1.0, 3.0]]))
+    recording.record_search(tmp_path / "search.rrd", observations, Workspace(), trace, grasps)
+    assert read(tmp_path / "search.rrd", "/value/winner", "scalars") == []
+    assert read(tmp_path / "search.rrd", "/value/best", "scalars") == [[0.0], [3.0]]
+    assert read(tmp_path / "search.rrd", "/value/median", "scalars") == [[0.0], [1.0]]
+
+
+def test_what_is_imagined_has_depth_in_metres(path: Path) -> None:
+    for name in ("imagined", "from_grasp"):
+        (buffer,) = read(path, f"/world/{name}/depth", "buffer")
+        depth = np.frombuffer(np.array(buffer, np.uint8).tobytes(), np.float32)
+        assert depth.size == 48 * 64
+        assert np.all(depth == 0.25)
 
 
 def test_a_camera_keeps_its_pose_and_lens(path: Path, camera: Camera) -> None:

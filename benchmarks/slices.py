@@ -1,0 +1,140 @@
+"""How alike Ψ and the truth are: mean rank correlations in slices through a valid grasp of held-out scenes.
+
+    python benchmarks/slices.py --models '[RUN/mv3/model, RUN/mv1/model, RUN/mv3-scratch/model]'
+
+draws scenes of a task from a seed kept out of every training set, one valid grasp in each, and slices through it, as
+`nerfgrasp slices` shows them; in each slice Ψ is ranked against the negative grasp error. It prints the means over
+scenes of Spearman's correlation for translations, rotations and mixed slices, and for each slice. Models after the
+first are compared with it scene by scene: name the pretrained one first, then the same architecture without
+pretraining. With `--out` it keeps one JSON line a scene and model.
+"""
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from backbone import SEEN_VIEWS, TARGET_SIZE, pictures
+from joblib import Parallel, cpu_count, delayed
+from jsonargparse import auto_cli
+from tqdm import tqdm
+
+from nerfgrasp.allocator import keep_freed_memory
+from nerfgrasp.evaluation.slices import (
+    KINDS,
+    central_grasp,
+    learned_values,
+    means_by_kind,
+    rank_correlation,
+    true_values,
+)
+from nerfgrasp.models.folder import DEFAULT_MODEL
+from nerfgrasp.scenes.oracle import valid_grasps
+from nerfgrasp.scenes.scene import Observations
+from nerfgrasp.scenes.slices import SLICES, Axes, cut_slice
+from nerfgrasp.search.psi import Psi
+from nerfgrasp.sim.tasks import find_task, scene_cameras, workspace
+
+Row = dict[str, dict[str, float | None]]
+"""Of one scene: `slices`, the correlation in each, and `means`, by kind of slice."""
+
+
+def main(
+    models: tuple[str, ...] = (DEFAULT_MODEL,),
+    task: str = "simple",
+    scenes: int = 64,
+    seed: int = 100,
+    slices: tuple[str, ...] = SLICES,
+    size: int = 21,
+    axes: Axes = "grasp",
+    reach: float | None = None,
+    turn: float = 90.0,
+    workers: int | None = None,
+    out: Path | None = None,
+) -> None:
+    """Measures models on the same slices.
+
+    Args:
+        models: folders or shipped names of grasp values; those after the first are compared with it.
+        task: what the scenes are; their objects must be prisms, of which the oracle knows the valid grasps.
+        scenes: how many.
+        seed: of the scenes; no training set has it.
+        slices: which, as `nerfgrasp slices` names them.
+        size: poses in each direction of a slice.
+        axes: whose axes coordinates are along: the grasp's or the world's.
+        reach: metres that translations go at most to either side; all of the workspace if not given.
+        turn: degrees that rotations go to either side.
+        workers: processes; one a core if not given.
+        out: JSON lines, one a scene and model.
+    """
+    settings = {"size": size, "axes": axes, "reach": reach, "turn": turn}
+    found: dict[str, list[Row]] = {}
+    for model in models:
+        jobs = (delayed(scene_correlations)(model, task, seed, index, slices, settings) for index in range(scenes))
+        parallel = Parallel(n_jobs=workers or cpu_count(), return_as="generator")
+        found[model] = list(tqdm(parallel(jobs), total=scenes, desc=model))
+        print("\n".join(summary(model, found[model])), flush=True)
+    for model in models[1:]:
+        print("\n".join(differences(models[0], found[models[0]], model, found[model])), flush=True)
+    if out is not None:
+        shared = {"task": task, "seed": seed, **settings}
+        rows = [
+            {"model": model, **shared, "scene": index, **row}
+            for model, every in found.items()
+            for index, row in enumerate(every)
+        ]
+        out.write_text("".join(json.dumps(row) + "\n" for row in rows))
+
+
+def scene_correlations(
+    model: str, task: str, seed: int, index: int, names: Sequence[str], settings: dict[str, Any]
+) -> Row:
+    """Returns one model's rank correlations in one scene."""
+    keep_freed_memory()
+    torch.set_num_threads(1)
+    method, truth = Psi.from_pretrained(model), find_task(task).draw(seed, index)
+    valid = valid_grasps(truth.objects)
+    grasp, _ = central_grasp(truth, valid, workspace, seed=index)
+    turned = {**settings, "turn": math.radians(settings["turn"])}
+    cuts = [cut_slice(grasp, name, workspace, **turned) for name in names]
+    side = method.model.backbone.config.image_size or TARGET_SIZE
+    camera = scene_cameras(seed, index, SEEN_VIEWS, side)
+    images, _ = pictures(truth, camera)
+    values = learned_values(method, Observations(images, camera), workspace, cuts)
+    found = {
+        cut.name: rank_correlation(learned, true_values(cut, valid)) for cut, learned in zip(cuts, values, strict=True)
+    }
+    return {"slices": found, "means": dict(means_by_kind(cuts, found))}
+
+
+def summary(model: str, rows: Sequence[Row]) -> list[str]:
+    """Returns the lines of one model's table: means over scenes."""
+    lines = [f"{model}: Spearman's correlation with the negative grasp error, mean over scenes (standard error)"]
+    for title, of, names in (("mean of ", "means", KINDS), ("", "slices", list(rows[0]["slices"]))):
+        for name in names:
+            known = [row[of].get(name) for row in rows]
+            lines += _line(f"{title}{name}", [value for value in known if value is not None])
+    return lines
+
+
+def differences(first: str, one: Sequence[Row], second: str, other: Sequence[Row]) -> list[str]:
+    """Returns the lines that compare two models scene by scene."""
+    lines = [f"{first} less {second}: mean over scenes (standard error)"]
+    for kind in KINDS:
+        pairs = [(a["means"].get(kind), b["means"].get(kind)) for a, b in zip(one, other, strict=True)]
+        lines += _line(f"mean of {kind}", [a - b for a, b in pairs if a is not None and b is not None])
+    return lines
+
+
+def _line(title: str, values: Sequence[float]) -> list[str]:
+    if not values:
+        return []
+    numbers = torch.tensor(values)
+    error = f"{numbers.std() / len(numbers) ** 0.5:.3f}" if len(numbers) > 1 else "-"
+    return [f"  {title:<20}{numbers.mean():8.3f}  ({error}), {len(numbers)} scenes"]
+
+
+if __name__ == "__main__":
+    auto_cli(main, as_positional=False)
