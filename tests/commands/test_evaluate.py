@@ -182,6 +182,7 @@ def test_the_parts_of_another_command_are_refused(tmp_path: Path) -> None:
     [
         ({"task": "simpel"}, "unknown task 'simpel': did you mean 'simple'?"),
         ({"method": "orcale"}, "unknown method (and no model) 'orcale': did you mean 'oracle'?"),
+        ({"schedule": "paper"}, "method 'random' has no search schedules: leave schedule 'paper' out"),
         ({"method": "no/such/folder"}, "unknown model (no folder, and none shipped by that name) 'no/such/folder'"),
         ({"objects": Path("here")}, "only 'novel' takes a folder"),
         ({"task": "novel", "objects": Path(__file__).parent}, "commands: neither a URDF nor a mesh"),
