@@ -111,8 +111,10 @@ def search(
         What `ascend` returns for the candidates kept, which stand in the trace in the order of their first value.
 
     Raises:
-        UserError: no pose has a finite value.
+        UserError: no pose has a finite value, or the workspace has no room within the limits.
     """
+    if limits is not None:
+        limits.check_room(workspace)
     start = random_candidates(candidates, workspace, generator, math.pi if limits is None else limits.max_tilt)
     if keep is not None and keep < candidates:
         start = _best(value, _permitted(start, workspace, limits), keep, chunk)

@@ -33,6 +33,14 @@ class Limits:
         if self.clearance is not None and not 0 <= self.clearance < math.inf:
             raise UserError(f"clearance is {self.clearance}: it must be 0 metres or more")
 
+    def check_room(self, workspace: Workspace) -> None:
+        """Checks that the workspace has room above the clearance; too low a one is a UserError."""
+        at_the_top = make_pose(torch.diag(torch.tensor([1.0, -1.0, -1.0])), workspace.maximum.detach().cpu())
+        room = float(self.gripper.lowest(at_the_top)) - float(workspace.minimum[2])
+        if self.clearance is not None and self.clearance > room:
+            at_most = f"{room:.4f} m at most" if room > 0 else "none"
+            raise UserError(f"clearance is {self.clearance} m: the workspace's height leaves room for {at_most}")
+
     def enforce(self, T_world_grasp: Tensor, workspace: Workspace) -> Tensor:
         """Returns grasps `[..., 4, 4]`, turned no more than it takes and then lifted no more than it takes."""
         turned = make_pose(self._turn(T_world_grasp) @ T_world_grasp[..., :3, :3], T_world_grasp[..., :3, 3])

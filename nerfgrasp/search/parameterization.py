@@ -28,18 +28,22 @@ def load_pose(pose: str | PoseParameterization, workspace: Workspace) -> PosePar
         UserError: there is none of that name, or it fails, or gives what is no tensor, of another shape, not finite
             or no pose; the message names the plug-in and its distribution.
     """
-    name = f"pose parameterization {type(pose).__name__}"
-    if isinstance(pose, str):
-        made = registry.load(registry.POSES, pose)
-        name = f"pose {pose!r} ({registry.find(registry.POSES, pose)})"
+    make = registry.load(registry.POSES, pose) if isinstance(pose, str) else lambda: pose
     try:
-        found: PoseParameterization = made() if isinstance(pose, str) else pose
+        found: PoseParameterization = make()
         _try(found, random_candidates(_TRIED, workspace, torch.Generator().manual_seed(0)), workspace)
     except _FaultError as fault:
-        raise UserError(f"{name}: {fault}: the plug-in is at fault") from None
+        raise UserError(f"{_name(pose)}: {fault}: the plug-in is at fault") from None
     except Exception as error:  # whatever a stranger's code raises
-        raise UserError(f"{name} fails: {type(error).__name__}: {error}: the plug-in is at fault") from error
+        cause = f"{type(error).__name__}: {error}"
+        raise UserError(f"{_name(pose)} fails: {cause}: the plug-in is at fault") from error
     return found
+
+
+def _name(pose: str | PoseParameterization) -> str:
+    if isinstance(pose, str):
+        return f"pose {pose!r} ({registry.find(registry.POSES, pose)})"
+    return f"pose parameterization {type(pose).__name__}"
 
 
 class _FaultError(Exception):

@@ -14,6 +14,7 @@ from nerfgrasp import GraspFinder, UserError, find_strategy
 from nerfgrasp.geometry import Camera
 from nerfgrasp.models.grasp_value import GraspValue, GraspValueConfig
 from nerfgrasp.scenes.scene import Workspace
+from nerfgrasp.search import psi, search
 from nerfgrasp.search.psi import Psi
 from nerfgrasp.search.ranking import grasp_angle
 
@@ -122,8 +123,10 @@ def test_the_package_offers_what_it_says() -> None:
 
 
 @pytest.mark.skipif(not DOCS.exists(), reason="the documentation stands in the checkout")
-def test_the_documented_program_runs(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_documented_program_runs(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    small = {"candidates": 8, "keep": 2}
+    monkeypatch.setattr(psi, "search", lambda *args, **kwargs: search(*args, **{**kwargs, **small}))
     program = "\n".join(re.findall(r"```python\n(.*?)```", DOCS.read_text(encoding="utf-8"), flags=re.DOTALL))
     assert "GraspFinder.from_pretrained(" in program
     exec(compile(program, str(DOCS), "exec"), {})
-    assert len(capsys.readouterr().out.splitlines()) >= 1
+    assert len(capsys.readouterr().out.splitlines()) >= 3
