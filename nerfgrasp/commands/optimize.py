@@ -97,6 +97,7 @@ def optimize(
         if attempt is not None:
             data["grasps"][0]["outcome"] = attempt(grasps.T_world_grasp[0])
             print(f"the best grasp, carried out in physics: {data['grasps'][0]['outcome']}", flush=True)
+        method.model.cpu()
         _write(results, found, method, grasps, trace.to("cpu"), data)
         written = [path.name for path in sorted(results.iterdir())]
     print(f"wrote {', '.join(written)} to {destination}")
@@ -171,7 +172,7 @@ def _attempt_in_physics(scene: Scene) -> Callable[[Tensor], str]:
 
 def _write(folder: Path, scene: Scene, method: Psi, grasps: Grasps, trace: Trace, data: dict[str, Any]) -> None:
     used = scene.observations.select(slice(method.images))
-    imagined = imagine(method.model.cpu(), used, scene.workspace)
+    imagined = imagine(method.model, used, scene.workspace)
     write_json(folder / "grasps.json", data, indent=2)
     picture(used, grasps, imagined, _facts(grasps, data)).save(folder / "picture.png")
     if find_spec("rerun") is None:

@@ -81,7 +81,7 @@ class Psi:
 
     def with_schedule(self, name: str) -> "Psi":
         """Returns the same method with another search, by its name; an unknown one is a UserError."""
-        return Psi(self.model, strategy=find_strategy(name), images=self.images, chunk=self.chunk)
+        return type(self)(self.model, strategy=find_strategy(name), images=self.images, chunk=self.chunk)
 
     def observe(self, observations: Observations, workspace: Workspace) -> ObservedScene:
         """Encodes a scene's images once, for any number of searches.
