@@ -58,7 +58,7 @@ def optimize(
     Args:
         scene: a scene's folder, or the name of a shipped one, e.g. `demo`.
         model: a model's folder, a Hugging Face repository id, or the name of a shipped one.
-        schedule: how to search: `resample`, `joint`, `prune`, or `paper` (its Algorithm 1); see docs/search.md.
+        schedule: how to search: `resample`, `joint`, `prune`, or `paper` (the paper's Algorithm 1); see docs/search.md.
         pose: the registered name of the pose parameterization to climb in.
         candidates: how many random poses are drawn; the schedule's own number if not given.
         keep: how many of them, the best, go on; the schedule's own number if not given.

@@ -63,11 +63,12 @@ def _try(pose: PoseParameterization, T: Tensor, workspace: Workspace) -> None:
     _require(decoded.shape == T.shape, f"decode gives {list(decoded.shape)} for {len(T)} poses, not {list(T.shape)}")
     _require(bool(is_rigid(decoded.detach()).all()), "decode gives what is no rigid transform, or not finite")
     _require(decoded.requires_grad, "decode gives a tensor without a gradient")
-    gradients = torch.autograd.grad(decoded.square().sum() + decoded.sum(), list(free.values()), allow_unused=True)
+    with torch.enable_grad():
+        total = decoded.square().sum() + decoded.sum()
+    gradients = torch.autograd.grad(total, list(free.values()), allow_unused=True)
     for group, gradient in zip(free, gradients, strict=True):
-        _require(
-            gradient is not None and bool(gradient.isfinite().all()), f"decode has no finite gradient in {group!r}"
-        )
+        finite = gradient is not None and bool(gradient.isfinite().all())
+        _require(finite, f"decode has no finite gradient in {group!r}")
 
 
 def _check_params(step: str, params: Any, shapes: dict[str, torch.Size] | None) -> None:
