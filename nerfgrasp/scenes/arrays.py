@@ -60,7 +60,7 @@ def workspace_from_corners(minimum: Array, maximum: Array, where: str = "workspa
     """
     low, high = (_numbers(f"{where}: a corner", corner) for corner in (minimum, maximum))
     if low.shape != (3,) or high.shape != (3,):
-        raise UserError(f"{where}: a box is two corners, minimum and maximum, of three numbers in metres each")
+        raise UserError(f"{where} needs two corners, minimum and maximum, of three numbers in metres each")
     if not (low < high).all():
         raise UserError(f"{where} is empty: its minimum is not below its maximum on every axis")
     return Workspace(low, high)

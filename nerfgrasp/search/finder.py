@@ -125,7 +125,7 @@ def _workspace(given: Workspace | Array | None) -> Workspace:
     try:
         minimum, maximum = given
     except (TypeError, ValueError) as error:
-        raise UserError("workspace: a box is two corners, minimum and maximum, of three numbers each") from error
+        raise UserError("workspace needs two corners, minimum and maximum, of three numbers in metres each") from error
     return workspace_from_corners(minimum, maximum)
 
 

@@ -73,7 +73,7 @@ def test_what_does_not_fit_is_told(images: Any, intrinsics: Any, poses: Any, mes
 @pytest.mark.parametrize(
     ("low", "high", "message"),
     [
-        ([0, 0], [1, 1, 1], "workspace: a box is two corners"),
+        ([0, 0], [1, 1, 1], "workspace needs two corners"),
         ([0, 0, 0], [1, 0, 1], "workspace is empty"),
         ([0, 0, 0], [1, -1, 1], "workspace is empty"),
         ([0, 0, np.nan], [1, 1, 1], "workspace: a corner holds a number that is not finite"),

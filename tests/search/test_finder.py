@@ -87,7 +87,7 @@ def test_a_memory_of_nothing_keeps_nothing(model: GraspValue, seen: tuple[Any, A
     [
         ([(0, 0, 0), (0.1, 0.1, -0.1)], "workspace is empty"),
         (Workspace(torch.zeros(3), torch.full((3,), torch.nan)), "not finite"),
-        (3, "workspace: a box is two corners"),
+        (3, "workspace needs two corners"),
         ([(5, 5, 5), (6, 6, 6)], "camera 0 sees nothing of the workspace"),
     ],
 )
