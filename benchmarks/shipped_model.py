@@ -28,6 +28,7 @@ from nerfgrasp.models.folder import DEFAULT_MODEL
 from nerfgrasp.scenes.oracle import grasp_errors, valid_grasps
 from nerfgrasp.scenes.scene import Workspace
 from nerfgrasp.search.psi import Psi
+from nerfgrasp.search.strategies import DEFAULT_STRATEGY, Strategy, find_strategy
 from nerfgrasp.sim.attempt import Outcome, attempt_grasp
 
 UNSEEN_VIEWS = 4
@@ -45,6 +46,7 @@ def main(
     size: int = 128,
     data: Path = Path("data/simple-evaluation"),
     stride: int = 1,
+    schedule: str = DEFAULT_STRATEGY,
     candidates: int | None = None,
     keep: int | None = None,
     workers: int | None = None,
@@ -60,13 +62,15 @@ def main(
         data: where the scenes are, or will be made.
         stride: render every object pixel, but of the workspace only every so many-th in each direction; 0 renders
             nothing.
-        candidates: random poses a search draws; the method's own number if not given.
-        keep: how many of them climb; the method's own number if not given.
+        schedule: how to search, e.g. `paper`.
+        candidates: random poses a search draws; the schedule's own number if not given.
+        keep: how many of them climb; the schedule's own number if not given.
         workers: processes; one a core if not given.
         out: JSON lines, one a scene.
     """
+    strategy = find_strategy(schedule, candidates=candidates, keep=keep)
     generate(scenes=scenes, views=3 + UNSEEN_VIEWS, seed=seed, out=data, size=size, demonstrations=False)
-    jobs = (delayed(measure)(model, data, scene, stride, candidates, keep) for scene in range(scenes))
+    jobs = (delayed(measure)(model, data, scene, stride, strategy) for scene in range(scenes))
     parallel = Parallel(n_jobs=workers or cpu_count(), return_as="generator")
     rows = list(tqdm(parallel(jobs), total=scenes, desc="scenes"))
     if out is not None:
@@ -74,13 +78,13 @@ def main(
     print("\n".join(summary(rows)))
 
 
-def measure(model: str, data: Path, scene: int, stride: int, candidates: int | None, keep: int | None) -> Row:
+def measure(model: str, data: Path, scene: int, stride: int, strategy: Strategy) -> Row:
     """Returns all figures of one scene."""
     keep_freed_memory()
     torch.set_num_threads(1)
     method, held_out = Psi.from_pretrained(model), PackedScenes(data)
     images = image_scores(method.model.backbone, held_out, scene, method.images, stride) if stride else {}
-    return {"scene": scene, **images, **grasp_scores(method, held_out, scene, candidates, keep)}
+    return {"scene": scene, **images, **grasp_scores(method, held_out, scene, strategy)}
 
 
 def image_scores(model: MVNeRF, held_out: PackedScenes, scene: int, skip: int, stride: int) -> dict[str, float]:
@@ -113,13 +117,11 @@ def view_scores(model: MVNeRF, view: ImageBatch, workspace: Workspace, stride: i
     return {**scores, "psnr_objects": _decibels(error[objects])} if objects.any() else scores
 
 
-def grasp_scores(method: Psi, held_out: PackedScenes, scene: int, candidates: int | None, keep: int | None) -> Row:
+def grasp_scores(method: Psi, held_out: PackedScenes, scene: int, strategy: Strategy) -> Row:
     """Searches one scene's best grasp, and returns its errors and its outcome in physics."""
     found = held_out.scene(scene)
     generator = torch.Generator().manual_seed(scene)
-    grasps, _ = method.search(
-        found.observations, found.workspace, generator=generator, candidates=candidates, keep=keep
-    )
+    grasps, _ = method.search(found.observations, found.workspace, generator=generator, strategy=strategy)
     best, truth = grasps.T_world_grasp[0], held_out.truth(scene)
     distance, angle = grasp_errors(best.double(), valid_grasps(truth.objects))
     return {

@@ -20,9 +20,7 @@ from torch import Tensor
 from nerfgrasp.geometry import is_rigid, make_pose
 from nerfgrasp.registry import BASELINES, POSES
 from nerfgrasp.scenes.scene import Workspace
-
-GROUPS = ({"position", "orientation"}, {"pose"})
-"""The parameter groups that a pose parameterization may have."""
+from nerfgrasp.search.schedule import GROUPS
 
 NEEDS = {"depth", "truth"}
 """What a method may be given beside RGB images, where it declares that it needs it."""

@@ -37,7 +37,7 @@ def test_light_commands_import_no_heavy_library(args: list[str]) -> None:
     assert not loaded & {"torch", "numpy", "jsonargparse", "lightning", "timm", "rerun", "pybullet", "matplotlib"}
 
 
-@pytest.mark.parametrize("module", ["nerfgrasp.errors", "nerfgrasp.registry", "nerfgrasp.commands"])
+@pytest.mark.parametrize("module", ["nerfgrasp", "nerfgrasp.errors", "nerfgrasp.registry", "nerfgrasp.commands"])
 def test_light_modules_import_no_torch(module: str) -> None:
     assert "torch" not in loaded_after(f"import {module}")
 

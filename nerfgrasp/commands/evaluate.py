@@ -24,6 +24,7 @@ def evaluate(
     scenes: int,
     seed: int,
     out: Path,
+    schedule: str | None = None,
     workers: int | None = None,
     cluster: Cluster | None = None,
     objects: Path | None = None,
@@ -41,6 +42,7 @@ def evaluate(
         scenes: how many scenes.
         seed: a set's scenes are the first of an endless sequence that the seed names; take one that was not trained on.
         out: the results file, e.g. `results.jsonl`; compressed if its name ends in `.gz`.
+        schedule: how a method with search schedules is to search, e.g. `paper`; its own way if not given.
         workers: number of processes; one a core if not given.
         cluster: `ray` tries on a Ray cluster, whose machines all see the model and the objects.
         objects: for `novel`: a folder of URDFs or meshes; the one that NERFGRASP_OBJECTS names if not given, or else
@@ -57,9 +59,9 @@ def evaluate(
     out = Path(out)
     if out.is_dir():
         raise UserError(f"cannot write {out}: it is a folder")
-    model = method_hash(load_method(name, folder))
+    model = method_hash(load_method(name, folder, schedule))
     catalogue = open_catalogue(objects).sha256 if found.catalogue else None
-    trials = Trials(found, seed, name, folder, model, size, catalogue)
+    trials = Trials(found, seed, name, folder, model, size, catalogue, schedule)
     if out.exists():
         tally = Tally(_finished(trials, out, scenes))
         print(f"{out} is already complete: {scenes} scenes")
@@ -119,7 +121,10 @@ def _finished(trials: Trials, out: Path, scenes: int) -> list[Row]:
     """Returns the rows of a results file that is there, if it is the one asked for."""
     rows, settings = read_results(out), trials.settings()
     first = rows[0]
-    pairs = {key: (getattr(first, key), settings[key]) for key in ("set", "method", "model", "physics", "versions")}
+    pairs = {
+        key: (getattr(first, key), settings[key])
+        for key in ("set", "method", "model", "schedule", "physics", "versions")
+    }
     pairs["scenes"] = (len({row.scene for row in rows}), scenes)
     pairs["scene_sha256"] = (first.scene_sha256, first_scene_hash(trials))
     for key, (there, asked) in pairs.items():

@@ -1,6 +1,7 @@
 """`nerfgrasp optimize`: finds grasps in one scene."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,12 +16,17 @@ from nerfgrasp.commands.publishing import publishing
 from nerfgrasp.errors import UserError
 from nerfgrasp.files import read_json, write_json
 from nerfgrasp.models.folder import DEFAULT_MODEL, find_model
+from nerfgrasp.scenes.arrays import workspace_from_corners
 from nerfgrasp.scenes.folder import read_scene
-from nerfgrasp.scenes.scene import Grasps, Scene
+from nerfgrasp.scenes.scene import Grasps, Scene, Workspace
 from nerfgrasp.scenes.shipped import find_scene
+from nerfgrasp.scenes.truth import workspace_to_json
 from nerfgrasp.search.ascent import Trace
+from nerfgrasp.search.devices import find_device
+from nerfgrasp.search.parameterization import load_pose
 from nerfgrasp.search.psi import Psi
 from nerfgrasp.search.ranking import distinct
+from nerfgrasp.search.strategies import DEFAULT_STRATEGY, find_strategy
 from nerfgrasp.viz.figures import picture
 from nerfgrasp.viz.imagination import imagine, imagined_panels
 
@@ -32,9 +38,14 @@ def optimize(
     scene: str,
     *,
     model: str = DEFAULT_MODEL,
+    schedule: str = DEFAULT_STRATEGY,
     pose: str = "quaternion",
-    candidates: int = 2048,
-    keep: int = 128,
+    candidates: int | None = None,
+    keep: int | None = None,
+    max_tilt: float | None = None,
+    clearance: float | None = None,
+    workspace: list[float] | None = None,
+    device: str = "cpu",
     seed: int = 0,
     out: Path | None = None,
     execute: bool = False,
@@ -47,9 +58,15 @@ def optimize(
     Args:
         scene: a scene's folder, or the name of a shipped one, e.g. `demo`.
         model: a model's folder, a Hugging Face repository id, or the name of a shipped one.
+        schedule: how to search: `resample`, `joint`, `prune`, or `paper` (the paper's Algorithm 1); see docs/search.md.
         pose: the registered name of the pose parameterization to climb in.
-        candidates: how many random poses are drawn.
-        keep: how many of them, the best, are resampled and climb; as many as candidates is the paper's Algorithm 1.
+        candidates: how many random poses are drawn; the schedule's own number if not given.
+        keep: how many of them, the best, go on; the schedule's own number if not given.
+        max_tilt: by how much an approach may differ from straight down at most, degrees; 180 for any.
+        clearance: to keep free between the open gripper and the table, metres.
+        workspace: where to search in place of the scene's own box: `[x, y, z, x, y, z]`, its lower and its upper
+            corner in metres; the lower face is the table.
+        device: where to search: `cpu`, `cuda`, `mps`, or a numbered one, e.g. `cuda:1`.
         seed: the same seed finds the same grasps.
         out: folder of the results; `SCENE-grasp` if not given.
         execute: carry the best grasp out in physics; for simulated scenes.
@@ -58,32 +75,30 @@ def optimize(
     Raises:
         UserError: something asked for is not there, is damaged or cannot be written.
     """
-    _check(candidates=(candidates, 1), keep=(keep, 1), count=(count, 1), seed=(seed, 0))
-    registry.load(registry.POSES, pose)
+    _check(count=(count, 1), seed=(seed, 0))
+    strategy = find_strategy(schedule, candidates=candidates, keep=keep, max_tilt=max_tilt, clearance=clearance)
+    find_device(device)
     found = read_scene(find_scene(scene))
+    found = found if workspace is None else replace(found, workspace=_box(workspace))
+    load_pose(pose, found.workspace)
     attempt = _attempt_in_physics(found) if execute else None
     folder = find_model(model)
-    keep = min(keep, candidates)
     destination = Path(f"{found.name}-grasp") if out is None else Path(out)
     with publishing(destination) as results:
-        method = _load_method(model, folder)
-        print(f"searching {found.name}: {candidates} candidates, the best {keep} climb", flush=True)
-        climbed, trace = method.search(
-            found.observations,
-            found.workspace,
-            generator=torch.Generator().manual_seed(seed),
-            pose=pose,
-            candidates=candidates,
-            keep=keep,
-        )
-        grasps = distinct(climbed, count=count)
+        method = _load_method(model, folder, device)
+        observed = method.observe(found.observations, found.workspace)
+        print(f"searching {found.name}: {schedule}, {strategy}", flush=True)
+        generator = torch.Generator().manual_seed(seed)
+        climbed, trace = method.search(observed, generator=generator, pose=pose, strategy=strategy)
+        grasps = distinct(climbed.to("cpu"), count=count)
         print("\n".join(table(grasps)), flush=True)
-        settings = {"scene": found.name, "model": model, "pose": pose, "seed": seed}
-        data = to_json(grasps, {**settings, "candidates": candidates, "keep": keep})
+        settings = {"scene": found.name, "model": model, "pose": pose, "seed": seed, **strategy.settings()}
+        data = to_json(grasps, {**settings, "workspace": workspace_to_json(found.workspace)})
         if attempt is not None:
             data["grasps"][0]["outcome"] = attempt(grasps.T_world_grasp[0])
             print(f"the best grasp, carried out in physics: {data['grasps'][0]['outcome']}", flush=True)
-        _write(results, found, method, grasps, trace, data)
+        method.model.cpu()
+        _write(results, found, method, grasps, trace.to("cpu"), data)
         written = [path.name for path in sorted(results.iterdir())]
     print(f"wrote {', '.join(written)} to {destination}")
 
@@ -126,15 +141,23 @@ def _check(**ranges: tuple[int, int]) -> None:
             raise UserError(f"{name} is {value}: it must be at least {least}")
 
 
-def _load_method(name: str, folder: Path) -> Psi:
+def _box(numbers: list[float]) -> Workspace:
+    if len(numbers) != 6:
+        raise UserError(
+            f"workspace is {len(numbers)} numbers: it takes six, the box's lower and upper corner in metres"
+        )
+    return workspace_from_corners(numbers[:3], numbers[3:])
+
+
+def _load_method(name: str, folder: Path, device: str) -> Psi:
     """Loads a model by the method that its folder names."""
     method = read_json(folder / "config.json").get("method")
     if not isinstance(method, str):
         raise UserError(f"model {name}: its config.json names no grasping method, so it finds no grasps")
-    loaded = registry.load(registry.BASELINES, method).from_pretrained(str(folder))
-    if not isinstance(loaded, Psi):
+    kind = registry.load(registry.BASELINES, method)
+    if not (isinstance(kind, type) and issubclass(kind, Psi)):
         raise UserError(f"model {name}: its method {method!r} does not search by gradient ascent")
-    return loaded
+    return kind.from_pretrained(str(folder), device=device)
 
 
 def _attempt_in_physics(scene: Scene) -> Callable[[Tensor], str]:

@@ -3,7 +3,7 @@
 from functools import lru_cache
 from inspect import Parameter, signature
 from pathlib import Path
-from typing import ClassVar, Protocol
+from typing import ClassVar, Protocol, runtime_checkable
 
 import torch
 from torch import nn
@@ -25,6 +25,14 @@ class Method(Protocol):
         self, observations: Observations, workspace: Workspace, *, generator: torch.Generator, count: int = 1
     ) -> Grasps:
         """Returns up to `count` grasps, best first."""
+
+
+@runtime_checkable
+class Schedulable(Protocol):
+    """A method that can search in several ways."""
+
+    def with_schedule(self, name: str) -> Method:
+        """Returns the method with another search, by its name; an unknown one is a UserError."""
 
 
 def find_method(name: str) -> tuple[str, str | None]:
@@ -52,22 +60,27 @@ def find_method(name: str) -> tuple[str, str | None]:
 
 
 @lru_cache(maxsize=1)
-def load_method(name: str, folder: str | None) -> Method:
+def load_method(name: str, folder: str | None, schedule: str | None = None) -> Method:
     """Returns a method, loaded once a process.
 
     Args:
         name: as registered.
         folder: to load it from; None for its default.
+        schedule: how it is to search, by name, for a method with a `with_schedule(name)`; None for its own way.
 
     Raises:
-        UserError: it cannot be loaded, or it has no default.
+        UserError: it cannot be loaded, it has no default, or no such schedule.
     """
     loader = registry.load(registry.BASELINES, name).from_pretrained
     parameter = next(iter(signature(loader).parameters.values()))
     if folder is None and parameter.default is Parameter.empty:
         raise UserError(f"method {name!r} needs a model: give the model's folder instead of the method's name")
     method: Method = loader() if folder is None else loader(folder)
-    return method
+    if schedule is None:
+        return method
+    if not isinstance(method, Schedulable):
+        raise UserError(f"method {name!r} has no search schedules: leave schedule {schedule!r} out")
+    return method.with_schedule(schedule)
 
 
 def method_hash(method: Method) -> str | None:

@@ -7,10 +7,10 @@ from typing import Any
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.results import (
-    FORMAT_VERSION,
     Row,
     Times,
     row_from_json,
+    row_to_json,
     times_from_json,
     times_path,
     write_results,
@@ -60,7 +60,7 @@ class Parts:
 
     def write(self, scene: int, attempts: Sequence[tuple[Row, Times]]) -> None:
         """Keeps a finished scene."""
-        rows = [{"format": FORMAT_VERSION, **asdict(row)} for row, _ in attempts]
+        rows = [row_to_json(row) for row, _ in attempts]
         write_json(self._path(scene), {"rows": rows, "times": [asdict(times) for _, times in attempts]})
 
     def read(self, scene: int) -> tuple[list[Row], list[Times]]:

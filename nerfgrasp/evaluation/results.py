@@ -8,7 +8,7 @@ import json
 import os
 import zlib
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -60,6 +60,8 @@ class Row:
     """`distance_mm` and `angle_deg` to the nearest valid grasp; None where the valid grasps are not known."""
     versions: dict[str, str]
     """Of `nerfgrasp`, `torch` and `pybullet`."""
+    schedule: str | None = None
+    """The search schedule that was asked for; lines of a method's own way do not name it."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ def times_path(results: Path) -> Path:
 
 def write_results(path: Path, rows: Iterable[Row]) -> None:
     """Writes results, all or nothing; a file that cannot be written is a UserError."""
-    _write_lines(path, ({"format": FORMAT_VERSION, **asdict(row)} for row in rows))
+    _write_lines(path, (row_to_json(row) for row in rows))
 
 
 def write_times(path: Path, times: Iterable[Times]) -> None:
@@ -115,6 +117,12 @@ def read_results(path: Path) -> list[Row]:
 def read_times(path: Path) -> list[Times]:
     """Reads wall times; errors as for `read_results`, but the file may be empty."""
     return _read_lines(path, times_from_json)
+
+
+def row_to_json(row: Row) -> dict[str, Any]:
+    """Returns one line of results as JSON data."""
+    data = {"format": FORMAT_VERSION, **asdict(row)}
+    return {key: value for key, value in data.items() if key != "schedule" or value is not None}
 
 
 def row_from_json(data: Any) -> Row:
@@ -169,10 +177,11 @@ def _no_number(constant: str) -> float:
 def _from_json(kind: type[Line], data: Any) -> Line:
     if not isinstance(data, dict):
         raise ValueError("it is not a JSON object")
-    names = {field.name for field in fields(kind)}
-    if data.keys() != names:
-        raise ValueError(f"{sorted(data.keys() ^ names)[0]!r} is missing or unknown")
-    return kind(**{field.name: _typed(field.name, field.type, data[field.name]) for field in fields(kind)})
+    types = {field.name: field.type for field in fields(kind)}
+    optional = {field.name for field in fields(kind) if field.default is not MISSING}
+    if odd := (data.keys() ^ types.keys()) - optional:
+        raise ValueError(f"{sorted(odd)[0]!r} is missing or unknown")
+    return kind(**{name: _typed(name, types[name], value) for name, value in data.items()})
 
 
 _CHECKS: dict[Any, Callable[[Any], bool]] = {

@@ -12,7 +12,7 @@ from nerfgrasp.evaluation.results import Row, Times, read_results, read_times, t
 
 SUCCESS = "success"
 """The outcome that counts, as `nerfgrasp.sim.attempt.Outcome` names it; that would bring a simulator along."""
-CONSTANT = ("set", "task", "seed", "method", "model", "physics", "versions")
+CONSTANT = ("set", "task", "seed", "method", "model", "schedule", "physics", "versions")
 """What all lines of one file share."""
 
 
@@ -27,7 +27,7 @@ class Run:
     times: tuple[Times, ...]
     """How long they took; empty where that is not kept."""
     label: str
-    """The method, with its model's hash where several models of one method are compared."""
+    """The method, with its model's hash where several models of one method are compared, and the schedule asked for."""
 
     @property
     def task(self) -> str:
@@ -64,7 +64,8 @@ def load_runs(paths: Sequence[Path]) -> list[Run]:
     runs = []
     for path, rows in files.items():
         first, beside = rows[0], times_path(path)
-        label = f"{first.method} {(first.model or 'no model')[:8]}" if first.method in several else first.method
+        named = [(first.model or "no model")[:8]] if first.method in several else []
+        label = " ".join([first.method, *named, *([first.schedule] if first.schedule else [])])
         runs.append(Run(path, tuple(rows), tuple(read_times(beside)) if beside.exists() else (), label))
     for one, other in combinations(runs, 2):
         _check_pair(one, other)
@@ -96,7 +97,7 @@ def _check_pair(one: Run, other: Run) -> None:
         raise UserError(f"{other.path} is of physics {b.physics}, {one.path} of {a.physics}: they do not compare")
     if a.task != b.task:
         return
-    if (a.method, a.model) == (b.method, b.model):
+    if (a.method, a.model, a.schedule) == (b.method, b.model, b.schedule):
         raise UserError(f"{one.path} and {other.path} are both of {a.method} on {a.task}: give one of them")
     if (a.set, a.seed) != (b.set, b.seed):
         raise UserError(

@@ -52,6 +52,8 @@ class Trials:
     """Width and height of a picture in pixels."""
     catalogue: str | None = None
     """Hash of the catalogue that the objects come from."""
+    schedule: str | None = None
+    """How the method searches; None for its own way."""
 
     @property
     def set(self) -> str:
@@ -60,7 +62,9 @@ class Trials:
 
     def settings(self) -> dict[str, Any]:
         """Returns as JSON data what tells these trials from others; where folders lie does not."""
-        named = {name: getattr(self, name) for name in ("set", "seed", "method", "model", "size", "catalogue")}
+        named = {
+            name: getattr(self, name) for name in ("set", "seed", "method", "model", "size", "catalogue", "schedule")
+        }
         return {"task": self.task.name, **named, "physics": physics_hash(), "versions": versions()}
 
 
@@ -78,7 +82,7 @@ def run_scene(trials: Trials, scene: int) -> list[tuple[Row, Times]]:
     Raises:
         UserError: the method cannot be loaded, or proposed what is no pose.
     """
-    method = load_method(trials.method, trials.folder)
+    method = load_method(trials.method, trials.folder, trials.schedule)
     truth, attempts = trials.task.draw(trials.seed, scene), []
     for number in range(trials.task.attempts):
         if not truth.objects:
@@ -143,6 +147,7 @@ def _try(trials: Trials, method: Method, truth: Truth, number: int) -> tuple[Row
         dropped=attempt.dropped,
         errors=_errors(truth, grasp),
         versions=versions(),
+        schedule=trials.schedule,
     )
     return row, Times(truth.index, number, *(after - before for before, after in pairwise(clock))), attempt
 

@@ -12,6 +12,7 @@ from nerfgrasp.geometry.cameras import (
     pixel_centres,
     pixel_rays,
     project,
+    sees_box,
     shrink,
 )
 from nerfgrasp.geometry.crops import crop_to_box
@@ -30,6 +31,7 @@ __all__ = [
     "pixel_centres",
     "pixel_rays",
     "project",
+    "sees_box",
     "shrink",
     "transform",
 ]

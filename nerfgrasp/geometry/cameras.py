@@ -54,6 +54,37 @@ def project(camera: Camera, points: Tensor) -> tuple[Tensor, Tensor]:
     return on_image[..., :2] / depth.clamp(min=1e-6)[..., None], depth
 
 
+def sees_box(camera: Camera, minimum: Tensor, maximum: Tensor) -> Tensor:
+    """Returns a bool `[...]`: whether any part of a box lies in a camera's image.
+
+    Two convex bodies are apart if some normal of a face, or product of an edge of each, separates their corners: here
+    the box and the pyramid of what the camera sees, up to a depth beyond the box.
+
+    Args:
+        camera: batch shape `[...]`.
+        minimum: the box's lower corner `[3]`, metres, world frame.
+        maximum: its upper corner.
+    """
+    choose = torch.cartesian_prod(*[torch.arange(2, device=minimum.device)] * 3).bool()
+    T_camera_world = invert(camera.T_world_camera)
+    box = transform(T_camera_world, torch.where(choose, maximum, minimum).to(T_camera_world))
+    far = 1.1 * box[..., 2].amax(dim=-1).clamp(min=1e-6)
+    u = torch.tensor([0.0, camera.width, camera.width, 0.0]).to(box)
+    v = torch.tensor([0.0, 0.0, camera.height, camera.height]).to(box)
+    on_image = torch.stack([u, v, torch.ones_like(u)], dim=-1)
+    rays = on_image @ torch.linalg.inv(camera.intrinsics).transpose(-1, -2)
+    pyramid = torch.cat([torch.zeros_like(rays[..., :1, :]), far[..., None, None] * rays], dim=-2)
+    box_axes = T_camera_world[..., :3, :3].transpose(-1, -2)
+    edges = torch.cat([rays, rays.roll(-1, dims=-2) - rays], dim=-2)
+    sides = torch.linalg.cross(rays, rays.roll(-1, dims=-2))
+    crossed = torch.linalg.cross(*torch.broadcast_tensors(box_axes[..., :, None, :], edges[..., None, :, :]))
+    axis = torch.tensor([0.0, 0.0, 1.0]).to(box).expand_as(box[..., :1, :])
+    axes = torch.cat([box_axes, axis, sides, crossed.flatten(-3, -2)], dim=-2)
+    one, other = box @ axes.transpose(-1, -2), pyramid @ axes.transpose(-1, -2)
+    apart = (one.amax(dim=-2) < other.amin(dim=-2)) | (other.amax(dim=-2) < one.amin(dim=-2))
+    return ~apart.any(dim=-1)
+
+
 def pixel_centres(width: int, height: int) -> Tensor:
     """Returns the centres `[height, width, 2]` (x, y) of an image's pixels."""
     x = torch.arange(width) + 0.5

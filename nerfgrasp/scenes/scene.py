@@ -91,3 +91,7 @@ class Grasps:
 
     def __len__(self) -> int:
         return self.value.shape[0]
+
+    def to(self, device: torch.device | str) -> "Grasps":
+        """Returns the same grasps on `device`."""
+        return Grasps(self.T_world_grasp.to(device), self.value.to(device))

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from nerfgrasp.errors import UserError
+from nerfgrasp.scenes.arrays import workspace_from_corners
 from nerfgrasp.scenes.objects import object_from_json
 from nerfgrasp.scenes.scene import Truth, Workspace
 
@@ -33,15 +34,9 @@ def workspace_from_json(data: Any, where: str) -> Workspace:
     Raises:
         UserError: it is not two corners of a box; the message begins with `where`.
     """
-    try:
-        minimum, maximum = (torch.tensor(data[key], dtype=torch.float32) for key in ("minimum", "maximum"))
-    except (KeyError, TypeError, ValueError) as error:
-        raise UserError(f"{where}: workspace needs 'minimum' and 'maximum', three numbers in metres each") from error
-    if minimum.shape != (3,) or maximum.shape != (3,) or not (minimum.isfinite() & maximum.isfinite()).all():
+    if not isinstance(data, dict) or not {"minimum", "maximum"} <= data.keys():
         raise UserError(f"{where}: workspace needs 'minimum' and 'maximum', three numbers in metres each")
-    if not (minimum < maximum).all():
-        raise UserError(f"{where}: workspace is empty: its minimum is not below its maximum on every axis")
-    return Workspace(minimum, maximum)
+    return workspace_from_corners(data["minimum"], data["maximum"], f"{where}: workspace")
 
 
 def truth_to_json(truth: Truth) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from nerfgrasp.errors import UserError
 from nerfgrasp.scenes.scene import Grasps, Workspace
 from nerfgrasp.search.candidates import random_candidates, scatter
 from nerfgrasp.search.limits import Limits
+from nerfgrasp.search.pace import Pace
 from nerfgrasp.search.ranking import best_first
 from nerfgrasp.search.schedule import PAPER, Phase, PoseParameterization, Round, Schedule
 
@@ -28,6 +29,10 @@ class Trace:
     """`[I, P, 4, 4]`, I = steps + 1."""
     value: Tensor
     """`[I, P]`: the value of each of those poses."""
+
+    def to(self, device: torch.device | str) -> "Trace":
+        """Returns the same trace on `device`."""
+        return Trace(self.T_world_grasp.to(device), self.value.to(device))
 
 
 def ascend(
@@ -61,8 +66,10 @@ def ascend(
         UserError: no final pose has a finite value.
     """
     parts = [_climb(value, part, pose, _projection(pose, workspace, limits), schedule) for part in start.split(chunk)]
+    length = max(len(part.value) for part in parts)
     trace = Trace(
-        torch.cat([part.T_world_grasp for part in parts], dim=1), torch.cat([part.value for part in parts], dim=1)
+        torch.cat([_prolonged(part.T_world_grasp, length) for part in parts], dim=1),
+        torch.cat([_prolonged(part.value, length) for part in parts], dim=1),
     )
     grasps = best_first(trace.T_world_grasp[-1], trace.value[-1])
     if len(grasps) == 0:
@@ -95,7 +102,7 @@ def search(
         candidates: how many random poses to draw.
         generator: the only source of randomness.
         keep: how many of them climb; None for all, which is the paper's way.
-        rounds: how the best are resampled before; none are if all climb.
+        rounds: how those are resampled before.
         schedule: phases of steps.
         limits: see `ascend`.
         chunk: how many candidates are evaluated at once.
@@ -104,14 +111,16 @@ def search(
         What `ascend` returns for the candidates kept, which stand in the trace in the order of their first value.
 
     Raises:
-        UserError: no pose has a finite value.
+        UserError: no pose has a finite value, or the workspace has no room within the limits.
     """
+    if limits is not None:
+        limits.check_room(workspace)
     start = random_candidates(candidates, workspace, generator, math.pi if limits is None else limits.max_tilt)
     if keep is not None and keep < candidates:
         start = _best(value, _permitted(start, workspace, limits), keep, chunk)
-        for resampling in rounds:
-            copies = scatter(start, resampling.copies, resampling.distance, resampling.angle, workspace, generator)
-            start = _best_of_each(value, _permitted(copies, workspace, limits), len(start), chunk)
+    for resampling in rounds:
+        copies = scatter(start, resampling.copies, resampling.distance, resampling.angle, workspace, generator)
+        start = _best_of_each(value, _permitted(copies, workspace, limits), len(start), chunk)
     return ascend(value, start, pose, workspace, schedule, limits=limits, chunk=chunk)
 
 
@@ -139,7 +148,7 @@ def _best(value: Value, poses: Tensor, keep: int, chunk: int) -> Tensor:
 def _best_of_each(value: Value, poses: Tensor, count: int, chunk: int) -> Tensor:
     """Returns `[count, 4, 4]` the best of every candidate and its copies, which follow each other in turns."""
     values = _values(value, poses, chunk).nan_to_num(nan=-torch.inf).view(-1, count)
-    return poses.view(-1, count, 4, 4)[values.argmax(dim=0), torch.arange(count)]
+    return poses.view(-1, count, 4, 4)[values.argmax(dim=0), torch.arange(count, device=poses.device)]
 
 
 @torch.no_grad()
@@ -176,19 +185,33 @@ def _steps(
     moving = [param for param in moving if param.requires_grad]
     optimizer = torch.optim.Adam(moving, lr=phase.learning_rate, maximize=True)
     rate = torch.optim.lr_scheduler.ExponentialLR(optimizer, phase.decay)
+    pace = None if phase.plateau is None else Pace(phase.plateau, params)
     for _ in range(phase.steps):
         with torch.enable_grad():
             T = pose.decode(params)
-            v = value(T)
+            v = value(T) if pace is None else pace.evaluate(value, T)
             gradients = torch.autograd.grad(v.sum(), moving)
         before = T.detach().clone(), v.detach()  # a copy: a decoded pose may share memory with the parameters
         for param, gradient in zip(moving, gradients, strict=True):
             param.grad = gradient.clamp(-clip, clip)
-        optimizer.step()
+        if pace is None:
+            optimizer.step()
+        else:
+            pace.step(optimizer, moving, params, before[1])
         rate.step()
         with torch.no_grad():
             for group, projected in project(params).items():
                 params[group].copy_(projected)
         yield before
+        if pace is not None and pace.converged:
+            break
     for param in params.values():
         param.requires_grad_(False)
+    if pace is not None:
+        pace.go_back(params)
+
+
+def _prolonged(iterations: Tensor, length: int) -> Tensor:
+    """Returns `[length, ...]`: what ended earlier stays where it is."""
+    rest = iterations[-1:].expand(length - len(iterations), *iterations.shape[1:])
+    return torch.cat([iterations, rest])

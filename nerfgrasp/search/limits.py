@@ -7,6 +7,7 @@ import roma
 import torch
 from torch import Tensor
 
+from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import make_pose
 from nerfgrasp.scenes.bars import TABLE_CLEARANCE
 from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Gripper
@@ -20,15 +21,32 @@ class Limits:
 
     max_tilt: float = math.radians(60.0)
     """The most by which the approach may differ from straight down, radians; π for none."""
-    clearance: float = TABLE_CLEARANCE
-    """Metres to keep free between the open gripper and the table."""
+    clearance: float | None = TABLE_CLEARANCE
+    """Metres to keep free between the open gripper and the table; None lets it go anywhere."""
     gripper: Gripper = ROBOTIQ_2F85
     """Whose shape counts."""
+
+    def __post_init__(self) -> None:
+        """Checks the numbers; one out of its range is a UserError."""
+        if not 0 <= self.max_tilt <= math.pi:
+            raise UserError(f"max_tilt is {self.max_tilt}: it must be from 0 to π radians")
+        if self.clearance is not None and not 0 <= self.clearance < math.inf:
+            raise UserError(f"clearance is {self.clearance}: it must be 0 metres or more")
+
+    def check_room(self, workspace: Workspace) -> None:
+        """Checks that the workspace has room above the clearance; too low a one is a UserError."""
+        at_the_top = make_pose(torch.diag(torch.tensor([1.0, -1.0, -1.0])), workspace.maximum.detach().cpu())
+        room = float(self.gripper.lowest(at_the_top)) - float(workspace.minimum[2])
+        if self.clearance is not None and self.clearance > room:
+            at_most = f"{room:.4f} m at most" if room > 0 else "none"
+            raise UserError(f"clearance is {self.clearance} m: the workspace's height leaves room for {at_most}")
 
     def enforce(self, T_world_grasp: Tensor, workspace: Workspace) -> Tensor:
         """Returns grasps `[..., 4, 4]`, turned no more than it takes and then lifted no more than it takes."""
         turned = make_pose(self._turn(T_world_grasp) @ T_world_grasp[..., :3, :3], T_world_grasp[..., :3, 3])
         upright = torch.where(self._too_tilted(T_world_grasp)[..., None, None], turned, T_world_grasp).clone()
+        if self.clearance is None:
+            return upright
         lacking = workspace.minimum[2].to(upright) + self.clearance - self.gripper.lowest(upright)
         upright[..., 2, 3] += lacking.clamp(min=0.0)
         return upright

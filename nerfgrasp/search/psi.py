@@ -1,23 +1,40 @@
 """Ψ with its search: the method `psi`, from observations to grasps."""
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
 
-from nerfgrasp import registry
 from nerfgrasp.errors import UserError
+from nerfgrasp.geometry import sees_box
 from nerfgrasp.models.folder import DEFAULT_MODEL, load_model
 from nerfgrasp.models.grasp_value import GraspValue
 from nerfgrasp.models.mvnerf import SceneFeatures
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.search.ascent import Trace, search
+from nerfgrasp.search.devices import find_device
 from nerfgrasp.search.feasibility import Feasibility
-from nerfgrasp.search.limits import Limits
+from nerfgrasp.search.parameterization import load_pose
 from nerfgrasp.search.ranking import best_first, distinct
-from nerfgrasp.search.schedule import CLIMB, PAPER, ROUNDS, PoseParameterization, Schedule
+from nerfgrasp.search.schedule import PoseParameterization
+from nerfgrasp.search.strategies import RESAMPLE, Strategy, find_strategy
 
 _CHECKED = 16
 """Grasps whose feasibility is found at once."""
+_CHUNK = {"cpu": 64}
+"""Poses that are evaluated at once, where they fit a processor's cache; ..."""
+_CHUNK_ELSEWHERE = 512
+"""... and where they keep an accelerator busy."""
+
+
+@dataclass(frozen=True)
+class ObservedScene:
+    """What a search needs of a scene, computed once."""
+
+    features: SceneFeatures
+    """Of its images, on the model's device."""
+    workspace: Workspace
+    """Where to search, there too."""
 
 
 class Psi:
@@ -27,102 +44,109 @@ class Psi:
     """It sees RGB alone."""
 
     def __init__(
-        self,
-        model: GraspValue,
-        *,
-        candidates: int = 2048,
-        keep: int | None = 128,
-        images: int = 3,
-        schedule: Schedule = CLIMB,
-        limits: Limits | None = Limits(),
-        feasibility: Feasibility | None = Feasibility(),
-        chunk: int = 64,
+        self, model: GraspValue, *, strategy: Strategy = RESAMPLE, images: int = 3, chunk: int | None = None
     ) -> None:
         """Wraps a trained value.
 
         Args:
-            model: the value Ψ on its backbone.
-            candidates: how many random poses a search draws.
-            keep: how many of them climb; None for all.
+            model: the value Ψ on its backbone; the search runs on its device.
+            strategy: how to search, where a search is not given another.
             images: how many of a scene's images are used, from the front, if the model does not need more. A
                 model that sees one at a time averages its values over them (the paper's MV1).
-            schedule: phases of steps, where not all climb.
-            limits: what every grasp keeps to; None for the workspace alone.
-            feasibility: what is added to the values of the grasps found; None lets Ψ alone judge.
-            chunk: how many poses are evaluated at once.
+            chunk: how many poses are evaluated at once, which bounds the memory; None chooses by the device.
         """
         self.model = model.eval().requires_grad_(False)
+        self.strategy = strategy
         self.images = max(images, model.views)
-        self.candidates, self.keep, self.schedule = candidates, keep, schedule
-        self.limits, self.feasibility, self.chunk = limits, feasibility, chunk
+        self.chunk = _CHUNK.get(self.device.type, _CHUNK_ELSEWHERE) if chunk is None else chunk
 
     @classmethod
-    def from_pretrained(cls, folder: str | None = None) -> "Psi":
+    def from_pretrained(cls, folder: str | None = None, *, device: str | torch.device = "cpu") -> "Psi":
         """Loads a model folder, or a shipped model by its name; without either, the default model.
 
         Raises:
-            UserError: there is no such model, it is damaged, or it holds no grasp value.
+            UserError: there is no such model or device, it is damaged, or it holds no grasp value.
         """
+        where = find_device(device)
         folder = DEFAULT_MODEL if folder is None else folder
         model = load_model(folder)
         if not isinstance(model, GraspValue):
             raise UserError(f"model {folder}: a {type(model).__name__} renders scenes but values no grasps")
-        return cls(model)
+        return cls(model.to(where))
 
-    def search(
-        self,
-        observations: Observations,
-        workspace: Workspace,
-        *,
-        generator: torch.Generator,
-        pose: str | PoseParameterization = "quaternion",
-        candidates: int | None = None,
-        keep: int | None = None,
-    ) -> tuple[Grasps, Trace]:
-        """Searches grasps and shows how the search went.
+    @property
+    def device(self) -> torch.device:
+        """Where the search runs."""
+        return next(self.model.parameters()).device
 
-        If all candidates climb, they do so as in the paper's Algorithm 1; else the best are resampled before a
-        short climb (measured in docs/results.md).
+    def with_schedule(self, name: str) -> "Psi":
+        """Returns the same method with another search, by its name; an unknown one is a UserError."""
+        return type(self)(self.model, strategy=find_strategy(name), images=self.images, chunk=self.chunk)
+
+    def observe(self, observations: Observations, workspace: Workspace) -> ObservedScene:
+        """Encodes a scene's images once, for any number of searches.
 
         Args:
             observations: at least as many views as the model needs.
             workspace: where to search.
+
+        Raises:
+            UserError: too few views, or one of those used sees nothing of the workspace.
+        """
+        used = observations.select(slice(self.images))
+        for view in torch.nonzero(~sees_box(used.camera, workspace.minimum, workspace.maximum))[:, 0].tolist():
+            low, high = (
+                ", ".join(f"{x:g}" for x in corner.tolist()) for corner in (workspace.minimum, workspace.maximum)
+            )
+            raise UserError(
+                f"camera {view} sees nothing of the workspace from ({low}) to ({high}) m: is its pose camera to world, "
+                "in metres and the workspace's frame, with axes of the right convention?"
+            )
+        box = workspace.to(self.device)
+        return ObservedScene(self.model.observe(used.to(self.device), box), box)
+
+    def search(
+        self,
+        scene: Observations | ObservedScene,
+        workspace: Workspace | None = None,
+        *,
+        generator: torch.Generator,
+        pose: str | PoseParameterization = "quaternion",
+        strategy: Strategy | None = None,
+    ) -> tuple[Grasps, Trace]:
+        """Searches grasps and shows how the search went.
+
+        Args:
+            scene: what `observe` returned, or what it takes.
+            workspace: where to search; of an observed scene, its own.
             generator: the only source of randomness.
             pose: the parameterization to climb in, or its registered name.
-            candidates: how many random poses to draw; the method's own number if None.
-            keep: how many of them climb; the method's own number if None.
+            strategy: how to search; the method's own if None.
 
         Returns:
             The final poses of the candidates that climbed, best first by Ψ and feasibility together, and the trace of
             their climb, which shows Ψ alone.
 
         Raises:
-            UserError: too few views, or an unknown parameterization.
+            UserError: as for `observe`, or a parameterization that is unknown or breaks its word.
         """
-        parameterization = registry.load(registry.POSES, pose)() if isinstance(pose, str) else pose
-        features = self.model.observe(observations.select(slice(self.images)), workspace)
-        candidates = self.candidates if candidates is None else candidates
-        keep = self.keep if keep is None else keep
-        all_climb = keep is None or keep >= candidates
+        if isinstance(scene, Observations):
+            scene = self.observe(scene, Workspace() if workspace is None else workspace)
+        features, box = scene.features, scene.workspace
+        how = self.strategy if strategy is None else strategy
         climbed, trace = search(
             lambda T: self.model.value(features, T),
-            parameterization,
-            workspace,
-            candidates=candidates,
-            keep=keep,
-            rounds=() if all_climb else ROUNDS,
+            load_pose(pose, box),
+            box,
+            candidates=how.candidates,
+            keep=how.keep,
+            rounds=how.rounds,
             generator=generator,
-            schedule=PAPER if all_climb else self.schedule,
-            limits=self.limits,
+            schedule=how.climb,
+            limits=how.limits,
             chunk=self.chunk,
         )
-        return self._weighed(climbed, features, workspace), trace
-
-    def _weighed(self, grasps: Grasps, features: SceneFeatures, workspace: Workspace) -> Grasps:
-        if self.feasibility is None:
-            return grasps
-        added = [self.feasibility(self.model, features, T, workspace) for T in grasps.T_world_grasp.split(_CHECKED)]
-        return best_first(grasps.T_world_grasp, grasps.value + torch.cat(added))
+        return self._weighed(climbed, scene, how.feasibility), trace
 
     def propose(
         self, observations: Observations, workspace: Workspace, *, generator: torch.Generator, count: int = 1
@@ -130,3 +154,10 @@ class Psi:
         """Returns up to `count` different grasps, best first; arguments and errors as for `search`."""
         grasps, _ = self.search(observations, workspace, generator=generator)
         return distinct(grasps, count=count)
+
+    def _weighed(self, grasps: Grasps, scene: ObservedScene, feasibility: Feasibility | None) -> Grasps:
+        if feasibility is None:
+            return grasps
+        parts = grasps.T_world_grasp.split(_CHECKED)
+        added = [feasibility(self.model, scene.features, T, scene.workspace) for T in parts]
+        return best_first(grasps.T_world_grasp, grasps.value + torch.cat(added))

@@ -1,4 +1,4 @@
-"""What a search climbs on and for how long: pose parameterizations, phases and the paper's schedule."""
+"""What a search climbs on and for how long: pose parameterizations, phases, rounds and the schedules made of them."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -9,6 +9,8 @@ from nerfgrasp.scenes.scene import Workspace
 
 WHOLE = "pose"
 """The group of a parameterization that does not decouple position and orientation."""
+GROUPS = (frozenset({"position", "orientation"}), frozenset({WHOLE}))
+"""The parameter groups that a pose parameterization may have."""
 
 
 class PoseParameterization(Protocol):
@@ -28,6 +30,24 @@ class PoseParameterization(Protocol):
 
 
 @dataclass(frozen=True)
+class Plateau:
+    """When a candidate whose value no longer rises takes shorter steps, and when it has converged.
+
+    Each candidate has a pace of its own, so others change nothing for it. Once it has converged, and at the end of the
+    phase, it goes back to the best pose that it has seen.
+    """
+
+    patience: int = 3
+    """So many steps in a row may pass without a rise."""
+    rise: float = 0.02
+    """By how much the value must exceed the best one before to count as risen, in its own unit (Ψ's is a logit)."""
+    factor: float = 0.5
+    """What a plateau makes of the candidate's learning rate."""
+    least: float = 0.05
+    """The share of the phase's learning rate below which a candidate has converged."""
+
+
+@dataclass(frozen=True)
 class Phase:
     """A run of Adam steps on some of the parameter groups."""
 
@@ -39,6 +59,8 @@ class Phase:
     """Of the first step; in metres for positions, since Adam's steps are about as long as their rate."""
     decay: float = 1.0
     """The factor on the learning rate after each step."""
+    plateau: Plateau | None = None
+    """Ends the phase early, once all candidates have converged; None takes every step alike."""
 
     def moves(self, group: str) -> bool:
         """Says whether `group` moves in this phase."""
@@ -86,3 +108,6 @@ ROUNDS = (Round(10, 0.04, 1.2), Round(10, 0.03, 0.8), Round(8, 0.02, 0.5), Round
 
 CLIMB = Schedule((Phase(groups=("position", "orientation"), steps=16, learning_rate=0.005, decay=0.85),))
 """A short ascent of both groups at once, from poses that resampling has brought near a maximum."""
+
+JOINT = Schedule((Phase(groups=("position", "orientation"), steps=64, learning_rate=0.02, plateau=Plateau()),))
+"""Both groups at once from afar: as long as it rises, then shorter steps, until they are 1 mm long."""

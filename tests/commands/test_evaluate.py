@@ -1,6 +1,6 @@
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.results import read_results, read_times, times_path
 from nerfgrasp.models.folder import load_model, save_model, weights_hash
 from nerfgrasp.models.grasp_value import GraspValue, GraspValueConfig
+from nerfgrasp.search.strategies import STRATEGIES
 
 pytest.importorskip("pybullet")
 
@@ -182,6 +183,7 @@ def test_the_parts_of_another_command_are_refused(tmp_path: Path) -> None:
     [
         ({"task": "simpel"}, "unknown task 'simpel': did you mean 'simple'?"),
         ({"method": "orcale"}, "unknown method (and no model) 'orcale': did you mean 'oracle'?"),
+        ({"schedule": "paper"}, "method 'random' has no search schedules: leave schedule 'paper' out"),
         ({"method": "no/such/folder"}, "unknown model (no folder, and none shipped by that name) 'no/such/folder'"),
         ({"objects": Path("here")}, "only 'novel' takes a folder"),
         ({"task": "novel", "objects": Path(__file__).parent}, "commands: neither a URDF nor a mesh"),
@@ -234,3 +236,14 @@ def test_a_model_is_named_by_its_weights(case: Case, model: Path) -> None:
     assert (first.method, first.model) == ("psi", weights_hash(load_model(model))[:16])
     assert second.model == first.model
     assert str(model.parent) not in case.unbroken.read_text()
+
+
+def test_a_schedule_is_recorded_and_kept_apart(model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(STRATEGIES, "paper", replace(STRATEGIES["paper"], candidates=4))
+    arguments, out = {**SMALL, "method": str(model), "scenes": 1}, tmp_path / "results.jsonl"
+    evaluate(**arguments, schedule="paper", out=out, workers=1)
+    assert [row.schedule for row in read_results(out)] == ["paper"]
+    with pytest.raises(UserError, match="holds other results: schedule 'paper', asked for None"):
+        evaluate(**arguments, out=out)
+    with pytest.raises(UserError, match="unknown schedule 'papre': did you mean 'paper'"):
+        evaluate(**arguments, schedule="papre", out=tmp_path / "other.jsonl")

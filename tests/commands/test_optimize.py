@@ -19,6 +19,7 @@ from nerfgrasp.models.mvnerf import MVNeRF, MVNeRFConfig
 from nerfgrasp.scenes.folder import write_scene
 from nerfgrasp.scenes.prisms import Prism
 from nerfgrasp.scenes.scene import Grasps, Observations, Scene, Truth, Workspace
+from nerfgrasp.search.ranking import grasp_angle
 
 SQUARE = ((-0.02, -0.02), (0.02, -0.02), (0.02, 0.02), (-0.02, 0.02))
 
@@ -80,6 +81,7 @@ def test_optimize_writes_grasps_picture_and_recording(
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"grasps.json", "picture.png", "optimization.rrd"}
     data = json.loads((tmp_path / "out" / "grasps.json").read_text())
     assert (data["scene"], data["pose"], data["seed"], data["candidates"]) == ("desk", "quaternion", 0, 12)
+    assert (data["schedule"], data["keep"], data["max_tilt_degrees"]) == ("resample", 4, 60.0)
     assert "one scene only" in data["note"]
     values = [grasp["value"] for grasp in data["grasps"]]
     assert 1 <= len(values) <= 3
@@ -109,6 +111,26 @@ def test_the_same_seed_writes_the_same_bytes(
     assert sorted(path.name for path in outs[0].iterdir()) == ["grasps.json", "picture.png"]
 
 
+def test_schedule_and_constraints_are_kept_and_recorded(
+    desk: Path, model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command, "find_spec", lambda name: None)
+    box = [-0.1, -0.1, 0.0, 0.0, 0.1, 0.15]
+    options = ["--schedule=paper", "--max_tilt=15", "--clearance=0.01", f"--workspace={box}", "--count=12"]
+    assert main(arguments(desk, model, tmp_path / "out", *options)) == 0
+    data = json.loads((tmp_path / "out" / "grasps.json").read_text())
+    assert (data["schedule"], data["max_tilt_degrees"], data["clearance"]) == ("paper", 15.0, 0.01)
+    assert [*data["workspace"]["minimum"], *data["workspace"]["maximum"]] == pytest.approx(box)
+    found = torch.tensor([grasp["T_world_grasp"] for grasp in data["grasps"]])
+    assert (
+        (found[:, :2, 3] >= torch.tensor(box[:2]) - 1e-5) & (found[:, :2, 3] <= torch.tensor(box[3:5]) + 1e-5)
+    ).all()
+    assert all(command.tilt_degrees(T) < 15.1 for T in found)
+    alike = torch.cdist(found[:, :3, 3], found[:, :3, 3]) < 0.02
+    angles = grasp_angle(found[:, None, :3, :3].expand(-1, len(found), 3, 3), found[None, :, :3, :3])
+    assert not (alike & (angles < 0.52)).fill_diagonal_(False).any()
+
+
 def test_execute_reports_the_outcome(
     tmp_path: Path, scene: Scene, model: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -131,6 +153,15 @@ def test_execute_reports_the_outcome(
         (["--execute=true"], "simulated"),
         (["--candidates=0"], "candidates is 0"),
         (["--keep=0"], "keep is 0"),
+        (["--schedule=join"], "unknown schedule 'join': did you mean 'joint'"),
+        (["--max_tilt=-3"], "max_tilt is -3.0"),
+        (["--max_tilt=.nan"], "max_tilt is nan"),
+        (["--clearance=-0.01"], "clearance is -0.01"),
+        (["--device=cuda:77"], "device 'cuda:77' is not there"),
+        (["--workspace=[0,0,0,1,1]"], "workspace is 5 numbers: it takes six"),
+        (["--workspace=[0,0,0,1,-1,1]"], "workspace is empty"),
+        (["--workspace=[0,0,0,1,.nan,1]"], "workspace: a corner holds a number that is not finite"),
+        (["--workspace=[7,7,0,7.5,7.5,0.2]"], "camera 0 sees nothing of the workspace from (7, 7, 0) to"),
         (["--count=-1"], "count is -1"),
     ],
 )

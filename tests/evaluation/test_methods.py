@@ -30,9 +30,18 @@ class Untrained:
         return cls()
 
 
+class Scheduled(Trained):
+    schedule = "own"
+
+    def with_schedule(self, name: str) -> "Scheduled":
+        other = Scheduled(self.folder)
+        other.schedule = name
+        return other
+
+
 @pytest.fixture(autouse=True)
 def _registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    methods: dict[str, Any] = {"trained": Trained, "untrained": Untrained}
+    methods: dict[str, Any] = {"trained": Trained, "untrained": Untrained, "scheduled": Scheduled}
     monkeypatch.setattr(registry, "load", lambda group, name: methods[name])
     load_method.cache_clear()
     yield
@@ -62,6 +71,13 @@ def test_a_method_that_needs_a_model_says_so() -> None:
     with pytest.raises(UserError, match="method 'trained' needs a model: give the model's folder"):
         load_method("trained", None)
     assert load_method("trained", "there").folder == "there"  # type: ignore[attr-defined]
+
+
+def test_a_schedule_is_for_methods_that_have_some() -> None:
+    assert load_method("scheduled", "there", "paper").schedule == "paper"  # type: ignore[attr-defined]
+    assert load_method("scheduled", "there").schedule == "own"  # type: ignore[attr-defined]
+    with pytest.raises(UserError, match="method 'trained' has no search schedules: leave schedule 'paper' out"):
+        load_method("trained", "there", "paper")
 
 
 def test_the_hash_is_that_of_the_weights() -> None:

@@ -35,6 +35,15 @@ def test_rows_come_back_as_they_were(rows: list[Row], tmp_path: Path) -> None:
     assert (first["set"], first["objects"], first["dropped"]) == ("simple-7", ["box", "cylinder"], [])
 
 
+def test_a_schedule_is_written_only_where_it_was_asked_for(rows: list[Row], tmp_path: Path) -> None:
+    rows[1] = replace(rows[1], schedule="paper")
+    write_results(tmp_path / "results.jsonl", rows)
+    assert read_results(tmp_path / "results.jsonl") == rows
+    own, paper = map(json.loads, (tmp_path / "results.jsonl").read_text().splitlines())
+    assert "schedule" not in own
+    assert paper["schedule"] == "paper"
+
+
 def test_times_come_back_as_they_were(tmp_path: Path) -> None:
     times = [Times(0, 0, 0.1, 0.2, 0.3), Times(0, 1, 1.0, 2.0, 3.0)]
     path = times_path(tmp_path / "results.jsonl")

@@ -43,7 +43,7 @@ def script(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Scripted]:
 
     def make(propose: Callable[..., Any], needs: set[str] = frozenset()) -> Scripted:  # type: ignore[assignment]
         method = Scripted(needs, propose)
-        monkeypatch.setattr(trials, "load_method", lambda name, folder: method)
+        monkeypatch.setattr(trials, "load_method", lambda name, folder, schedule: method)
         return method
 
     return make

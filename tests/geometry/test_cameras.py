@@ -10,6 +10,7 @@ from nerfgrasp.geometry import (
     pixel_centres,
     pixel_rays,
     project,
+    sees_box,
     shrink,
 )
 
@@ -133,3 +134,42 @@ def test_distances_along_rays_become_depths_along_the_axis() -> None:
     distance = torch.linspace(0.3, 1.2, 120, dtype=torch.float64)
     _, depth = project(camera, origins + distance[:, None] * directions)
     assert torch.allclose(depth_along_axis(camera, distance.view(10, 12)), depth.view(10, 12))
+
+
+def test_a_camera_sees_a_box_by_any_part_of_it() -> None:
+    # 90° of view, at the origin, along the world's axes.
+    intrinsics = torch.tensor([[50.0, 0.0, 50.0], [0.0, 50.0, 50.0], [0.0, 0.0, 1.0]])
+    camera = Camera(intrinsics, torch.eye(4), width=100, height=100)
+    seen = {
+        "in the middle": ((-0.1, -0.1, 1.0), (0.1, 0.1, 1.2)),
+        "a corner": ((0.9, 0.9, 0.8), (1.4, 1.4, 1.0)),
+        "a face larger than the image": ((-9.0, -9.0, 1.0), (9.0, 9.0, 1.1)),
+        "an edge through the image, its ends beyond": ((-9.0, -0.01, 1.0), (9.0, 0.01, 1.01)),
+        "all around": ((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
+    }
+    unseen = {
+        "behind": ((-0.1, -0.1, -1.2), (0.1, 0.1, -1.0)),
+        "beside": ((1.1, -0.1, 0.5), (1.3, 0.1, 1.0)),
+        "beyond a corner": ((1.0, 1.0, 0.8), (1.4, 1.4, 0.99)),
+        "above, though it reaches behind": ((-0.1, -9.0, -5.0), (0.1, -3.0, 2.0)),
+    }
+    for name, box in (seen | unseen).items():
+        assert bool(sees_box(camera, *map(torch.tensor, box))) == (name in seen), name
+
+
+def test_boxes_are_seen_as_their_points_are() -> None:
+    camera = example_camera()
+    generator = torch.Generator().manual_seed(0)
+    share = torch.stack(torch.meshgrid(*[torch.linspace(0, 1, 21, dtype=torch.float64)] * 3, indexing="ij"), dim=-1)
+    both = set()
+    for _ in range(60):
+        low = 2.4 * torch.rand(3, generator=generator, dtype=torch.float64) - 1.2
+        high = low + 0.5 * torch.rand(3, generator=generator, dtype=torch.float64)
+        pixels, depth = project(camera, (low + share.flatten(0, 2) * (high - low)).expand(4, -1, 3))
+        size = torch.tensor([camera.width, camera.height])
+        found = ((depth > 0) & (pixels >= 0).all(-1) & (pixels <= size).all(-1)).any(dim=-1)
+        sees = sees_box(camera, low, high)
+        assert (sees | ~found).all()
+        both |= set(sees[sees == found].tolist())
+        assert (sees & ~found).sum() <= 1  # a sliver between the points
+    assert both == {True, False}

@@ -7,6 +7,7 @@ import roma
 import torch
 
 from nerfgrasp import registry
+from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import make_pose
 from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
 from nerfgrasp.scenes.scene import Workspace
@@ -85,3 +86,22 @@ def test_climb_towards_the_table_ends_at_the_clearance(name: str):
     assert ROBOTIQ_2F85.lowest(trace.T_world_grasp).min() >= LIMITS.clearance - 1e-4
     last = ROBOTIQ_2F85.lowest(trace.T_world_grasp[-1])
     assert (last < LIMITS.clearance + 1e-3).float().mean() > 0.9
+
+
+def test_no_clearance_lets_the_hand_go_anywhere():
+    low = tilted(0.2, 0.005)
+    assert torch.equal(Limits(clearance=None).enforce(low, WORKSPACE), low)
+
+
+def test_a_clearance_without_room_is_told():
+    Limits(clearance=0.18).check_room(WORKSPACE)  # the fingertips reach 18.75 mm below the tool centre point
+    with pytest.raises(
+        UserError, match=r"clearance is 0.19 m: the workspace's height leaves room for 0.181. m at most"
+    ):
+        Limits(clearance=0.19).check_room(WORKSPACE)
+
+
+@pytest.mark.parametrize("changes", [{"max_tilt": -0.1}, {"max_tilt": math.nan}, {"clearance": -0.01}])
+def test_limits_that_cannot_be_meant_are_told(changes: dict[str, float]):
+    with pytest.raises(UserError, match=" is .*: it must be "):
+        Limits(**changes)

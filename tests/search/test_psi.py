@@ -6,8 +6,10 @@ from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import Camera, make_pose
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.search import psi
+from nerfgrasp.search.feasibility import Feasibility
 from nerfgrasp.search.psi import Psi
 from nerfgrasp.search.schedule import CLIMB, PAPER
+from nerfgrasp.search.strategies import RESAMPLE, Strategy, find_strategy
 
 
 class FakeValue(nn.Module):
@@ -17,7 +19,7 @@ class FakeValue(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.scale = nn.Parameter(torch.tensor(10.0))
+        self.scale = nn.Parameter(torch.tensor(10.0))  # also says on which device it is
         self.seen: list[int] = []
 
     def observe(self, observations: Observations, workspace: Workspace) -> Tensor:
@@ -44,9 +46,13 @@ def seeded(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
+def finds(model: FakeValue, strategy: Strategy = RESAMPLE, images: int = 3) -> Psi:
+    return Psi(model, strategy=strategy, images=images, chunk=8)  # type: ignore[arg-type]
+
+
 @pytest.fixture
 def method() -> Psi:
-    return Psi(FakeValue(), candidates=40, keep=10, chunk=8)  # type: ignore[arg-type]
+    return finds(FakeValue(), find_strategy(candidates=40, keep=10))
 
 
 def test_propose_finds_what_the_images_show(method: Psi, workspace: Workspace) -> None:
@@ -68,32 +74,56 @@ def test_the_seed_decides(method: Psi, workspace: Workspace) -> None:
 
 
 def test_images_are_seen_once_and_no_more_than_asked_for(workspace: Workspace) -> None:
-    model = FakeValue()
-    Psi(model, candidates=8, keep=8, chunk=8).propose(observe(5), workspace, generator=seeded())  # type: ignore[arg-type]
-    Psi(model, candidates=8, images=1, chunk=8).propose(observe(5), workspace, generator=seeded())  # type: ignore[arg-type]
+    model, few = FakeValue(), find_strategy(candidates=8, keep=2)
+    finds(model, few).propose(observe(5), workspace, generator=seeded())
+    finds(model, few, images=1).propose(observe(5), workspace, generator=seeded())
     assert model.seen == [3, 2]
 
 
-def test_search_takes_its_own_numbers_and_shows_the_way(method: Psi, workspace: Workspace) -> None:
-    grasps, trace = method.search(observe(3), workspace, generator=seeded(), candidates=20, keep=5)
+def test_an_observed_scene_is_searched_again_without_its_images(method: Psi, workspace: Workspace) -> None:
+    scene = method.observe(observe(3), workspace)
+    first, _ = method.search(scene, generator=seeded())
+    again, _ = method.search(scene, generator=seeded())
+    fresh, _ = method.search(observe(3), workspace, generator=seeded())
+    assert torch.equal(first.T_world_grasp, again.T_world_grasp)
+    assert torch.equal(first.T_world_grasp, fresh.T_world_grasp)
+    assert method.model.seen == [3, 3]  # type: ignore[comparison-overlap]
+
+
+def test_search_takes_another_strategy_and_shows_the_way(method: Psi, workspace: Workspace) -> None:
+    strategy = find_strategy(candidates=20, keep=5)
+    grasps, trace = method.search(observe(3), workspace, generator=seeded(), strategy=strategy)
     assert len(grasps) == 5
     assert trace.value.shape == (CLIMB.steps + 1, 5)
 
 
-def test_all_candidates_climb_as_the_paper_has_it(method: Psi, workspace: Workspace) -> None:
-    _, trace = method.search(observe(3), workspace, generator=seeded(), candidates=8, keep=8)
+def test_a_schedule_goes_by_its_name(method: Psi, workspace: Workspace) -> None:
+    paper = method.with_schedule("paper")
+    assert paper.strategy == find_strategy("paper")
+    assert paper.model is method.model
+    few = find_strategy("paper", candidates=8)
+    grasps, trace = paper.search(observe(3), workspace, generator=seeded(), strategy=few)
     assert trace.value.shape == (PAPER.steps + 1, 8)
+    assert torch.equal(grasps.value, trace.value[-1].sort(descending=True).values)  # Ψ alone judges
+    with pytest.raises(UserError, match="unknown schedule 'joit': did you mean 'joint'"):
+        method.with_schedule("joit")
+
+
+def test_a_camera_that_sees_nothing_of_the_workspace_is_told(method: Psi) -> None:
+    behind = Workspace(torch.tensor([-0.2, -0.2, -0.9]), torch.tensor([0.2, 0.2, -0.5]))
+    with pytest.raises(UserError, match=r"camera 0 sees nothing of the workspace from \(-0.2, -0.2, -0.9\)"):
+        method.propose(observe(3), behind, generator=seeded())
 
 
 def test_a_feasible_grasp_comes_before_one_of_more_value(method: Psi, workspace: Workspace) -> None:
     down = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
     beside, around = make_pose(down, torch.tensor([0.1, 0.0, 0.045])), make_pose(down, torch.tensor([0.0, 0.0, 0.045]))
     found = Grasps(torch.stack([beside, around]), torch.tensor([1.0, 0.0]))
-    weighed = method._weighed(found, method.model.observe(observe(3), workspace), workspace)
+    scene = method.observe(observe(3), workspace)
+    weighed = method._weighed(found, scene, Feasibility())
     assert torch.equal(weighed.T_world_grasp[0], around)
     assert weighed.value[0] == pytest.approx(0.0, abs=0.05)
-    alone = Psi(FakeValue(), feasibility=None)  # type: ignore[arg-type]
-    assert alone._weighed(found, alone.model.observe(observe(3), workspace), workspace) is found
+    assert method._weighed(found, scene, None) is found
 
 
 def test_a_search_trains_nothing(method: Psi, workspace: Workspace) -> None:
@@ -111,3 +141,12 @@ def test_a_model_without_a_value_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(psi, "load_model", lambda name: nn.Linear(1, 1))
     with pytest.raises(UserError, match="model some/folder: a Linear renders scenes but values no grasps"):
         Psi.from_pretrained("some/folder")
+
+
+@pytest.mark.parametrize(
+    ("device", "message"),
+    [("cdua", "unknown device 'cdua': did you mean 'cuda'"), ("cuda:99", "is not there"), ("cpu:x", "unknown device")],
+)
+def test_a_device_that_is_not_there_is_told(device: str, message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        Psi.from_pretrained(device=device)

@@ -1,0 +1,108 @@
+"""Whole searches by name: how many candidates are drawn, which of them climb, how, and within which limits."""
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from nerfgrasp.errors import UserError, unknown_name
+from nerfgrasp.search.feasibility import Feasibility
+from nerfgrasp.search.limits import Limits
+from nerfgrasp.search.schedule import CLIMB, JOINT, PAPER, ROUNDS, Round, Schedule
+
+
+@dataclass(frozen=True)
+class Strategy:
+    """What `--schedule` names: everything that a search does, but for the seed and the pose parameterization."""
+
+    name: str
+    """As results call it."""
+    candidates: int
+    """Random poses that are drawn."""
+    keep: int | None
+    """How many of them, the best by value, go on; None for all, unvalued."""
+    climb: Schedule
+    """How those climb."""
+    rounds: tuple[Round, ...] = ()
+    """How those are resampled before they climb."""
+    limits: Limits | None = field(default_factory=Limits)
+    """What every pose keeps to; None for the workspace alone."""
+    feasibility: Feasibility | None = field(default_factory=Feasibility)
+    """What is added to the values of the grasps found; None lets Ψ alone judge."""
+
+    def __post_init__(self) -> None:
+        """Checks the numbers; one out of its range is a UserError."""
+        for name, value in (("candidates", self.candidates), ("keep", self.keep)):
+            if value is not None and value < 1:
+                raise UserError(f"{name} is {value}: it must be at least 1")
+
+    @property
+    def climbing(self) -> int:
+        """How many climb."""
+        return self.candidates if self.keep is None else min(self.keep, self.candidates)
+
+    def settings(self) -> dict[str, Any]:
+        """Returns as JSON data what a user may have set."""
+        limits = self.limits
+        tilt = None if limits is None or limits.max_tilt >= math.pi else round(math.degrees(limits.max_tilt), 6)
+        clearance = None if limits is None else limits.clearance
+        counts = {"candidates": self.candidates, "keep": self.climbing}
+        return {"schedule": self.name, **counts, "max_tilt_degrees": tilt, "clearance": clearance}
+
+    def __str__(self) -> str:
+        climbing = self.climbing
+        return f"{self.candidates} candidates, {'all' if climbing == self.candidates else f'the best {climbing}'} climb"
+
+
+RESAMPLE = Strategy("resample", candidates=2048, keep=128, rounds=ROUNDS, climb=CLIMB)
+"""Resampling rounds around the best, then a short climb of both groups (measured in docs/results.md)."""
+JOINT_SEARCH = Strategy("joint", candidates=512, keep=None, climb=JOINT)
+"""All climb, both groups at once, each at its own pace and until all have converged."""
+PRUNE = Strategy("prune", candidates=4096, keep=128, climb=JOINT)
+"""Many are evaluated once; the best climb jointly."""
+PAPER_SEARCH = Strategy("paper", candidates=4096, keep=None, climb=PAPER, limits=None, feasibility=None)
+"""Algorithm 1 as the paper has it: positions, then orientations, of all candidates, and Ψ alone judges."""
+
+STRATEGIES = {strategy.name: strategy for strategy in (RESAMPLE, JOINT_SEARCH, PRUNE, PAPER_SEARCH)}
+"""By name; the first is the default."""
+DEFAULT_STRATEGY = RESAMPLE.name
+
+
+def find_strategy(
+    name: str = DEFAULT_STRATEGY,
+    *,
+    candidates: int | None = None,
+    keep: int | None = None,
+    max_tilt: float | None = None,
+    clearance: float | None = None,
+) -> Strategy:
+    """Returns a search by its name, with what is given in place of its own.
+
+    Example:
+        >>> print(find_strategy("prune", keep=16))
+        4096 candidates, the best 16 climb
+
+    Args:
+        name: one of `STRATEGIES`.
+        candidates: how many random poses are drawn.
+        keep: how many of them go on.
+        max_tilt: by how much an approach may differ from straight down at most, degrees; 180 for any.
+        clearance: to keep free between the open gripper and the table, metres.
+
+    Raises:
+        UserError: there is no search of that name, or a number is out of its range.
+    """
+    if name not in STRATEGIES:
+        raise unknown_name("schedule", name, STRATEGIES)
+    strategy = STRATEGIES[name]
+    limits = strategy.limits
+    if max_tilt is not None or clearance is not None:
+        limits = Limits(max_tilt=math.pi, clearance=None) if limits is None else limits
+    if limits is not None and max_tilt is not None:
+        if not 0 <= max_tilt <= 180:
+            raise UserError(f"max_tilt is {max_tilt}: it must be from 0 to 180 degrees")
+        limits = replace(limits, max_tilt=math.radians(max_tilt))
+    if limits is not None and clearance is not None:
+        limits = replace(limits, clearance=clearance)
+    strategy = replace(strategy, limits=limits)
+    strategy = strategy if candidates is None else replace(strategy, candidates=candidates)
+    return strategy if keep is None else replace(strategy, keep=keep)
