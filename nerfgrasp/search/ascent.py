@@ -12,11 +12,13 @@ from nerfgrasp.scenes.scene import Grasps, Workspace
 from nerfgrasp.search.candidates import random_candidates, scatter
 from nerfgrasp.search.limits import Limits
 from nerfgrasp.search.pace import Pace
-from nerfgrasp.search.ranking import best_first
+from nerfgrasp.search.ranking import best_first, distinct
 from nerfgrasp.search.schedule import PAPER, Phase, PoseParameterization, Round, Schedule
 
 Value = Callable[[Tensor], Tensor]
 """Maps `T_world_grasp` `[P, 4, 4]` to values `[P]`, differentiably and each pose by itself."""
+Draw = Callable[[int, Workspace, torch.Generator, float], Tensor]
+"""Draws so many poses in a workspace, tilted no more than that; see `random_candidates`."""
 Projection = Callable[[dict[str, Tensor]], dict[str, Tensor]]
 """Maps parameters to permitted ones nearby."""
 
@@ -86,8 +88,10 @@ def search(
     generator: torch.Generator,
     keep: int | None = None,
     rounds: Sequence[Round] = (),
+    climbers: int | None = None,
     schedule: Schedule = PAPER,
     limits: Limits | None = None,
+    draw: Draw = random_candidates,
     chunk: int = 256,
 ) -> tuple[Grasps, Trace]:
     """Draws random candidates, resamples around the best of them, and lets these climb.
@@ -101,10 +105,12 @@ def search(
         workspace: where to search.
         candidates: how many random poses to draw.
         generator: the only source of randomness.
-        keep: how many of them climb; None for all, which is the paper's way.
-        rounds: how those are resampled before.
+        keep: how many of them go on; None for all, which is the paper's way.
+        rounds: how those are resampled.
+        climbers: how many of those, different ones, climb in the end; None for all.
         schedule: phases of steps.
         limits: see `ascend`.
+        draw: what draws the candidates.
         chunk: how many candidates are evaluated at once.
 
     Returns:
@@ -115,12 +121,14 @@ def search(
     """
     if limits is not None:
         limits.check_room(workspace)
-    start = random_candidates(candidates, workspace, generator, math.pi if limits is None else limits.max_tilt)
+    start = draw(candidates, workspace, generator, math.pi if limits is None else limits.max_tilt)
     if keep is not None and keep < candidates:
         start = _best(value, _permitted(start, workspace, limits), keep, chunk)
     for resampling in rounds:
         copies = scatter(start, resampling.copies, resampling.distance, resampling.angle, workspace, generator)
         start = _best_of_each(value, _permitted(copies, workspace, limits), len(start), chunk)
+    if climbers is not None and climbers < len(start):
+        start = distinct(best_first(start, _values(value, start, chunk)), count=climbers).T_world_grasp
     return ascend(value, start, pose, workspace, schedule, limits=limits, chunk=chunk)
 
 

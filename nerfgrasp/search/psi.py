@@ -1,6 +1,8 @@
 """Ψ with its search: the method `psi`, from observations to grasps."""
 
+import math
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import torch
@@ -11,16 +13,19 @@ from nerfgrasp.models.folder import DEFAULT_MODEL, load_model
 from nerfgrasp.models.grasp_value import GraspValue
 from nerfgrasp.models.mvnerf import SceneFeatures
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
-from nerfgrasp.search.ascent import Trace, search
+from nerfgrasp.search.ascent import Draw, Trace, search
+from nerfgrasp.search.candidates import random_candidates
 from nerfgrasp.search.devices import find_device
-from nerfgrasp.search.feasibility import Feasibility
+from nerfgrasp.search.occupancy import occupied_candidates
 from nerfgrasp.search.parameterization import load_pose
 from nerfgrasp.search.ranking import best_first, distinct
 from nerfgrasp.search.schedule import PoseParameterization
-from nerfgrasp.search.strategies import RESAMPLE, Strategy, find_strategy
+from nerfgrasp.search.strategies import GUIDED, Strategy, find_strategy
 
 _CHECKED = 16
 """Grasps whose feasibility is found at once."""
+_DISTANCE, _ANGLE = 0.01, math.radians(15.0)
+"""Metres and radians: grasps nearer to a better one in both are not weighed, where not all are."""
 _CHUNK = {"cpu": 64}
 """Poses that are evaluated at once, where they fit a processor's cache; ..."""
 _CHUNK_ELSEWHERE = 512
@@ -44,7 +49,7 @@ class Psi:
     """It sees RGB alone."""
 
     def __init__(
-        self, model: GraspValue, *, strategy: Strategy = RESAMPLE, images: int = 3, chunk: int | None = None
+        self, model: GraspValue, *, strategy: Strategy = GUIDED, images: int = 3, chunk: int | None = None
     ) -> None:
         """Wraps a trained value.
 
@@ -141,12 +146,14 @@ class Psi:
             candidates=how.candidates,
             keep=how.keep,
             rounds=how.rounds,
+            climbers=how.climbers,
+            draw=self._draw(scene, how.spacing),
             generator=generator,
             schedule=how.climb,
             limits=how.limits,
             chunk=self.chunk,
         )
-        return self._weighed(climbed, scene, how.feasibility), trace
+        return self._weighed(climbed, scene, how), trace
 
     def propose(
         self, observations: Observations, workspace: Workspace, *, generator: torch.Generator, count: int = 1
@@ -155,9 +162,16 @@ class Psi:
         grasps, _ = self.search(observations, workspace, generator=generator)
         return distinct(grasps, count=count)
 
-    def _weighed(self, grasps: Grasps, scene: ObservedScene, feasibility: Feasibility | None) -> Grasps:
-        if feasibility is None:
+    def _draw(self, scene: ObservedScene, spacing: float | None) -> Draw:
+        if spacing is None:
+            return random_candidates
+        return partial(occupied_candidates, model=self.model, features=scene.features, spacing=spacing)
+
+    def _weighed(self, grasps: Grasps, scene: ObservedScene, how: Strategy) -> Grasps:
+        if how.weighed is not None:
+            grasps = distinct(grasps, _DISTANCE, _ANGLE, how.weighed)
+        if how.feasibility is None:
             return grasps
         parts = grasps.T_world_grasp.split(_CHECKED)
-        added = [feasibility(self.model, scene.features, T, scene.workspace) for T in parts]
+        added = [how.feasibility(self.model, scene.features, T, scene.workspace) for T in parts]
         return best_first(grasps.T_world_grasp, grasps.value + torch.cat(added))

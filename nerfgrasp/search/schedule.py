@@ -109,5 +109,11 @@ ROUNDS = (Round(10, 0.04, 1.2), Round(10, 0.03, 0.8), Round(8, 0.02, 0.5), Round
 CLIMB = Schedule((Phase(groups=("position", "orientation"), steps=16, learning_rate=0.005, decay=0.85),))
 """A short ascent of both groups at once, from poses that resampling has brought near a maximum."""
 
+FEW_ROUNDS = (Round(6, 0.02, 0.8), Round(6, 0.012, 0.4), Round(6, 0.006, 0.2))
+"""As `ROUNDS`, from candidates that lie on objects."""
+
+SHORT_CLIMB = Schedule((Phase(groups=("position", "orientation"), steps=12, learning_rate=0.004, decay=0.82),))
+"""As `CLIMB`, shorter."""
+
 JOINT = Schedule((Phase(groups=("position", "orientation"), steps=64, learning_rate=0.02, plateau=Plateau()),))
 """Both groups at once from afar: as long as it rises, then shorter steps, until they are 1 mm long."""

@@ -7,7 +7,7 @@ from typing import Any
 from nerfgrasp.errors import UserError, unknown_name
 from nerfgrasp.search.feasibility import Feasibility
 from nerfgrasp.search.limits import Limits
-from nerfgrasp.search.schedule import CLIMB, JOINT, PAPER, ROUNDS, Round, Schedule
+from nerfgrasp.search.schedule import CLIMB, FEW_ROUNDS, JOINT, PAPER, ROUNDS, SHORT_CLIMB, Round, Schedule
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,17 @@ class Strategy:
     """How those climb."""
     rounds: tuple[Round, ...] = ()
     """How those are resampled before they climb."""
+    climbers: int | None = None
+    """How many of those, different ones, climb; None for all."""
+    spacing: float | None = None
+    """Metres between the points at which the model's density is asked, to draw candidates where it is; None draws them
+    anywhere in the workspace."""
     limits: Limits | None = field(default_factory=Limits)
     """What every pose keeps to; None for the workspace alone."""
     feasibility: Feasibility | None = field(default_factory=Feasibility)
     """What is added to the values of the grasps found; None lets Ψ alone judge."""
+    weighed: int | None = None
+    """How many of those, different ones and the best by value, are weighed so and returned; None for all."""
 
     def __post_init__(self) -> None:
         """Checks the numbers; one out of its range is a UserError."""
@@ -37,15 +44,16 @@ class Strategy:
 
     @property
     def climbing(self) -> int:
-        """How many climb."""
-        return self.candidates if self.keep is None else min(self.keep, self.candidates)
+        """How many climb at most."""
+        return min(count for count in (self.candidates, self.keep, self.climbers) if count is not None)
 
     def settings(self) -> dict[str, Any]:
         """Returns as JSON data what a user may have set."""
         limits = self.limits
         tilt = None if limits is None or limits.max_tilt >= math.pi else round(math.degrees(limits.max_tilt), 6)
         clearance = None if limits is None else limits.clearance
-        counts = {"candidates": self.candidates, "keep": self.climbing}
+        keep = self.candidates if self.keep is None else min(self.keep, self.candidates)
+        counts = {"candidates": self.candidates, "keep": keep}
         return {"schedule": self.name, **counts, "max_tilt_degrees": tilt, "clearance": clearance}
 
     def __str__(self) -> str:
@@ -53,6 +61,10 @@ class Strategy:
         return f"{self.candidates} candidates, {'all' if climbing == self.candidates else f'the best {climbing}'} climb"
 
 
+GUIDED = Strategy(
+    "guided", candidates=512, keep=64, spacing=0.015, rounds=FEW_ROUNDS, climbers=32, climb=SHORT_CLIMB, weighed=24
+)
+"""Candidates where the model sees something, so that few will do; then as `resample`, with less of everything."""
 RESAMPLE = Strategy("resample", candidates=2048, keep=128, rounds=ROUNDS, climb=CLIMB)
 """Resampling rounds around the best, then a short climb of both groups (measured in docs/results.md)."""
 JOINT_SEARCH = Strategy("joint", candidates=512, keep=None, climb=JOINT)
@@ -62,9 +74,9 @@ PRUNE = Strategy("prune", candidates=4096, keep=128, climb=JOINT)
 PAPER_SEARCH = Strategy("paper", candidates=4096, keep=None, climb=PAPER, limits=None, feasibility=None)
 """Algorithm 1 as the paper has it: positions, then orientations, of all candidates, and Ψ alone judges."""
 
-STRATEGIES = {strategy.name: strategy for strategy in (RESAMPLE, JOINT_SEARCH, PRUNE, PAPER_SEARCH)}
+STRATEGIES = {strategy.name: strategy for strategy in (GUIDED, RESAMPLE, JOINT_SEARCH, PRUNE, PAPER_SEARCH)}
 """By name; the first is the default."""
-DEFAULT_STRATEGY = RESAMPLE.name
+DEFAULT_STRATEGY = GUIDED.name
 
 
 def find_strategy(
