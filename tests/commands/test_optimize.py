@@ -81,7 +81,7 @@ def test_optimize_writes_grasps_picture_and_recording(
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"grasps.json", "picture.png", "optimization.rrd"}
     data = json.loads((tmp_path / "out" / "grasps.json").read_text())
     assert (data["scene"], data["pose"], data["seed"], data["candidates"]) == ("desk", "quaternion", 0, 12)
-    assert (data["schedule"], data["keep"], data["max_tilt_degrees"]) == ("resample", 4, 60.0)
+    assert (data["schedule"], data["keep"], data["max_tilt_degrees"]) == ("guided", 4, 60.0)
     assert "one scene only" in data["note"]
     values = [grasp["value"] for grasp in data["grasps"]]
     assert 1 <= len(values) <= 3

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import Tensor, nn
@@ -5,11 +7,10 @@ from torch import Tensor, nn
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import Camera, make_pose
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
-from nerfgrasp.search import psi
-from nerfgrasp.search.feasibility import Feasibility
+from nerfgrasp.search import ascent, psi
 from nerfgrasp.search.psi import Psi
 from nerfgrasp.search.schedule import CLIMB, PAPER
-from nerfgrasp.search.strategies import RESAMPLE, Strategy, find_strategy
+from nerfgrasp.search.strategies import GUIDED, RESAMPLE, Strategy, find_strategy
 
 
 class FakeValue(nn.Module):
@@ -91,7 +92,7 @@ def test_an_observed_scene_is_searched_again_without_its_images(method: Psi, wor
 
 
 def test_search_takes_another_strategy_and_shows_the_way(method: Psi, workspace: Workspace) -> None:
-    strategy = find_strategy(candidates=20, keep=5)
+    strategy = find_strategy("resample", candidates=20, keep=5)
     grasps, trace = method.search(observe(3), workspace, generator=seeded(), strategy=strategy)
     assert len(grasps) == 5
     assert trace.value.shape == (CLIMB.steps + 1, 5)
@@ -120,10 +121,34 @@ def test_a_feasible_grasp_comes_before_one_of_more_value(method: Psi, workspace:
     beside, around = make_pose(down, torch.tensor([0.1, 0.0, 0.045])), make_pose(down, torch.tensor([0.0, 0.0, 0.045]))
     found = Grasps(torch.stack([beside, around]), torch.tensor([1.0, 0.0]))
     scene = method.observe(observe(3), workspace)
-    weighed = method._weighed(found, scene, Feasibility())
+    weighed = method._weighed(found, scene, RESAMPLE)
     assert torch.equal(weighed.T_world_grasp[0], around)
     assert weighed.value[0] == pytest.approx(0.0, abs=0.05)
-    assert method._weighed(found, scene, None) is found
+    assert method._weighed(found, scene, replace(RESAMPLE, feasibility=None)) is found
+
+
+def test_of_grasps_that_are_nearly_the_same_the_best_is_weighed(method: Psi, workspace: Workspace) -> None:
+    position = torch.tensor([[0.0, 0.0, 0.045], [0.0, 0.004, 0.045], [0.0, 0.03, 0.045], [0.0, 0.035, 0.045]])
+    found = Grasps(make_pose(torch.diag(torch.tensor([1.0, -1.0, -1.0])), position), torch.tensor([4.0, 3.0, 2.0, 1.0]))
+    scene = method.observe(observe(3), workspace)
+    weighed = method._weighed(found, scene, replace(RESAMPLE, weighed=4))
+    assert weighed.T_world_grasp[:, 1, 3].tolist() == pytest.approx([0.0, 0.03])
+    assert len(method._weighed(found, scene, replace(RESAMPLE, weighed=1))) == 1
+
+
+def test_a_guided_search_starts_where_something_is(
+    method: Psi, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    starts: list[Tensor] = []
+
+    def remember(value: object, T: Tensor, keep: int, chunk: int) -> Tensor:
+        starts.append(T)
+        return T[:keep]
+
+    monkeypatch.setattr(ascent, "_best", remember)
+    _, trace = method.search(observe(3), workspace, generator=seeded(), strategy=find_strategy(candidates=40, keep=10))
+    assert (starts[0][:, :2, 3].abs() < torch.tensor([0.023, 0.048])).all()  # the bar, and half a cell
+    assert len(trace.value) == GUIDED.climb.steps + 1
 
 
 def test_a_search_trains_nothing(method: Psi, workspace: Workspace) -> None:
