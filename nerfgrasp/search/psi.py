@@ -48,13 +48,15 @@ class Psi:
                 model that sees one at a time averages its values over them (the paper's MV1).
             schedule: phases of steps, where not all climb.
             limits: what every grasp keeps to; None for the workspace alone.
-            feasibility: what is added to the values of the grasps found; None lets Ψ alone judge.
+            feasibility: what is added to the values of the grasps found; None lets Ψ alone judge, as it does where
+                the model has not learned to render.
             chunk: how many poses are evaluated at once.
         """
         self.model = model.eval().requires_grad_(False)
         self.images = max(images, model.views)
         self.candidates, self.keep, self.schedule = candidates, keep, schedule
-        self.limits, self.feasibility, self.chunk = limits, feasibility, chunk
+        self.limits, self.chunk = limits, chunk
+        self.feasibility = feasibility if model.config.renders else None
 
     @classmethod
     def from_pretrained(cls, folder: str | None = None) -> "Psi":
