@@ -25,7 +25,10 @@ def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(paths))
 
 
-def test_a_stranger_s_method_has_a_row(stranger: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_stranger_s_method_has_a_row(
+    stranger: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")
     out = tmp_path / "table"
     args = ["table", "--out", str(out), "--methods", "their_method", "--scenes", "2"]
     args += ["--clutter_scenes", "0", "--novel_poses", "0"]
@@ -49,7 +52,7 @@ def test_a_stranger_s_method_has_a_row(stranger: None, tmp_path: Path, capsys: p
     [
         (["--methods", "randm"], "unknown method 'randm': did you mean 'random'"),
         (["--methods", "random", "--scenes", "0"], "scenes is 0: it must be at least 1"),
-        (["--methods", "random", "--sceens", "3"], "--sceens (did you mean --scenes"),
+        (["--methods", "random", "--sceens", "3"], "--sceens 3 (did you mean --scenes?)"),
         (["--methods", "random", "--scale", "desk"], "desk"),
     ],
 )
