@@ -22,8 +22,9 @@ from backbone import network_scores
 from joblib import Parallel, delayed
 from jsonargparse import auto_cli
 
-from configs import network_config, read_configs
+from configs import network_config
 from nerfgrasp.allocator import keep_freed_memory
+from nerfgrasp.commands.configs import read_configs
 from nerfgrasp.commands.generate import generate
 from nerfgrasp.data.rays import RayData
 from nerfgrasp.data.streams import SceneSet

@@ -24,8 +24,9 @@ from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 from tqdm import trange
 
-from configs import network_config, read_configs
+from configs import network_config
 from nerfgrasp.allocator import keep_freed_memory
+from nerfgrasp.commands.configs import read_configs
 from nerfgrasp.geometry import Camera, look_at, pixel_centres, pixel_rays
 from nerfgrasp.models import MVNeRF, MVNeRFConfig, render_image
 from nerfgrasp.models.mvnerf import RayRenderings

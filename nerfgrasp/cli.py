@@ -21,6 +21,7 @@ COMMANDS = {
     "test": "run a config's test on a checkpoint",
     "evaluate": "try a method in the scenes of a task",
     "report": "print success rates, differences and errors of results",
+    "table": "make the paper's table: data, trainings, evaluation, report",
     "objects": "import object models for the task of novel objects",
     "plugins": "list and check what is installed",
 }

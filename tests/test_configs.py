@@ -1,13 +1,12 @@
 """The configs at the paper's scale, built without memory."""
 
-from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 import yaml
 
-from nerfgrasp.commands.fit import shipped_configs
+from nerfgrasp.commands.configs import find_config
 from nerfgrasp.geometry import Camera
 from nerfgrasp.models import MVNeRF, MVNeRFConfig
 from nerfgrasp.models.folder import from_plain
@@ -18,7 +17,7 @@ COUNTS = {"encoder": 94_332_032, "coarse": 247_300, "fine": 247_300}
 
 
 def read(name: str) -> dict[str, Any]:
-    return yaml.safe_load(Path(shipped_configs(["--config", name])[1]).read_text())
+    return yaml.safe_load(find_config(name).read_text())
 
 
 def build(name: str, **encoder: Any) -> MVNeRF:
@@ -54,6 +53,33 @@ def test_another_transformer_by_name(vit: str, width: int) -> None:
     with torch.device("meta"):
         assert network.encoder(torch.zeros(1, 3, 480, 480)).shape == (1, 256, 480, 480)
     assert (count(network.coarse), count(network.fine)) == (COUNTS["coarse"], COUNTS["fine"])
+
+
+@pytest.mark.parametrize("scale", ["", "laptop/"])
+@pytest.mark.parametrize("views", [1, 3])
+def test_from_scratch_has_the_network_and_the_grasps_of_the_pretrained(scale: str, views: int) -> None:
+    scratch, head = read(f"{scale}no{views}_grasp.yaml"), read(f"{scale}mv{views}_grasp.yaml")
+    pretraining = read(f"{scale}mv{views}.yaml")["model"].get("init_args", {})
+    arguments = scratch["model"]["init_args"]
+    assert arguments["network"] == pretraining.get("network", {})
+    assert arguments.get("symmetric") == head["model"]["init_args"].get("symmetric")
+    assert scratch["data"] == head["data"]
+
+
+@pytest.mark.parametrize("scale", ["", "laptop/"])
+@pytest.mark.parametrize("kind", ["mv", "no"])
+def test_grasp_values_of_one_view_and_of_three_differ_in_a_few_lines(scale: str, kind: str) -> None:
+    one, three = (read(f"{scale}{kind}{views}_grasp.yaml") for views in (1, 3))
+    for config in (one, three):
+        config["data"]["init_args"].pop("views", None)
+        config["trainer"].pop("default_root_dir")
+        for key in ("backbone", "network"):
+            config["model"]["init_args"].pop(key, None)
+    if (scale, kind) == ("laptop/", "no"):  # what takes as long as pretraining does
+        for config in (one, three):
+            config["trainer"].pop("max_steps"), config["trainer"].pop("val_check_interval")
+            config["model"]["init_args"].pop("schedule")
+    assert one == three
 
 
 def test_one_view_and_three_differ_in_a_few_lines() -> None:

@@ -2,8 +2,6 @@
 
 import warnings
 import zipfile
-from importlib.resources import files
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +12,10 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from nerfgrasp.allocator import keep_freed_memory
+from nerfgrasp.commands.configs import shipped_configs
 from nerfgrasp.commands.parsing import OneLineErrors
 from nerfgrasp.data.streams import SceneSet, StepDataModule
-from nerfgrasp.errors import UserError, unknown_name
+from nerfgrasp.errors import UserError
 from nerfgrasp.models.folder import save_model
 from nerfgrasp.training.callbacks import ExpectedTime, ExponentialAverage, RayRate, StopOnNotFinite
 from nerfgrasp.training.checkpoints import StepCheckpoint, WholeCheckpoints
@@ -146,33 +145,6 @@ def main(verb: str, args: list[str]) -> None:
         if mistake is None:
             raise
         raise mistake from None
-
-
-def shipped_configs(args: list[str]) -> list[str]:
-    """Returns the arguments with each `--config NAME` that is no file here replaced by the shipped one's path.
-
-    Raises:
-        UserError: there is no such file, neither here nor among those shipped.
-    """
-    return [_with_config_found(before, argument) for before, argument in pairwise(["", *args])]
-
-
-def _with_config_found(before: str, argument: str) -> str:
-    if before in ("--config", "-c"):
-        return _find_config(argument)
-    if argument.startswith("--config="):
-        return "--config=" + _find_config(argument.removeprefix("--config="))
-    return argument
-
-
-def _find_config(name: str) -> str:
-    if Path(name).is_file():
-        return name
-    package = Path(str(files("nerfgrasp")))
-    folder = next(f for f in (package / "configs", package.parent / "configs") if f.is_dir())
-    if not Path(name).is_absolute() and (folder / name).is_file():
-        return str(folder / name)
-    raise unknown_name("config", name, (str(path.relative_to(folder)) for path in folder.rglob("*.yaml")))
 
 
 def _check_inputs(module: LightningModule, data: Any) -> None:

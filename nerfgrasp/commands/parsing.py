@@ -43,11 +43,11 @@ def call(function: Callable[..., Any], args: list[str], *, prog: str) -> Any:
     Raises:
         UserError: the arguments or a `--config` do not fit the signature.
     """
-    given = _lists_gathered(function, _flags_set(function, args))
+    given = _lists_gathered(function, flags_set(function, args))
     return auto_cli(function, args=given, as_positional=False, parser_class=Parser, prog=prog)
 
 
-def _flags_set(function: Callable[..., Any], args: list[str]) -> list[str]:
+def flags_set(function: Callable[..., Any], args: list[str]) -> list[str]:
     """Returns the arguments with `--flag` written as `--flag=true` where a bool's option stands without a value."""
     flags = {f"--{name}" for name, kind in get_type_hints(function).items() if kind is bool}
     following = [*args[1:], "--"]

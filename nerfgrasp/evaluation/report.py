@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from nerfgrasp.errors import unknown_name
 from nerfgrasp.evaluation.measures import SUCCESS_RATE, TASKS, Measure, clusters, successes
+from nerfgrasp.evaluation.paper import paper_table
 from nerfgrasp.evaluation.runs import SUCCESS, Run, common_scenes
 from nerfgrasp.evaluation.statistics import (
     bootstrap_difference,
@@ -31,8 +32,12 @@ _MEANINGS = {
 }
 
 
-def report_tables(runs: Sequence[Run]) -> list[Table]:
+def report_tables(runs: Sequence[Run], *, paper: bool = False) -> list[Table]:
     """Returns the report of runs that `load_runs` found comparable: the overview, then each task's tables.
+
+    Args:
+        runs: the runs; those of repeated trainings count only where trainings are compared.
+        paper: whether the paper's own figures follow the overview.
 
     Raises:
         UserError: a run is of a task that is not known.
@@ -40,9 +45,11 @@ def report_tables(runs: Sequence[Run]) -> list[Table]:
     for run in runs:
         if run.task not in TASKS:
             raise unknown_name(f"task in {run.path}:", run.task, TASKS)
-    tables = [success_table(runs)]
+    first = [run for run in runs if not run.repeated]
+    tables = [success_table(first), trainings_table(runs)] if first else [trainings_table(runs)]
+    tables += [paper_table([task for task in TASKS if any(run.task == task for run in runs)])] if paper else []
     for task in TASKS:
-        mine = [run for run in runs if run.task == task]
+        mine = [run for run in first if run.task == task]
         if mine:
             tables += [differences_table(mine), outcomes_table(mine), errors_table(mine)]
             tables += [objects_table(mine)] if TASKS[task].cluster == "object" else []
@@ -61,6 +68,23 @@ def success_table(runs: Sequence[Run]) -> Table:
         rows.append((label, *(cell for part in row for cell in part)))
     header = ("method", *(f"{task} {measure.name}" for task, measure in columns))
     return Table("Success rates [95 % interval]", header, tuple(rows), _notes(runs, tasks))
+
+
+def trainings_table(runs: Sequence[Run]) -> Table:
+    """Returns what each method's repeated trainings differ by: the mean, the least and the most of each rate."""
+    names = dict.fromkeys(run.name for run in runs if run.repeated)
+    tasks = [task for task in TASKS if any(run.task == task and run.repeated for run in runs)]
+    rows = []
+    for name in names:
+        cells, count = [], 0
+        for task in tasks:
+            mine = [run for run in runs if (run.name, run.task) == (name, task)]
+            count = max(count, len(mine))
+            cells += [_spread([_value(run, measure) for run in mine]) for measure in TASKS[task].measures]
+        rows.append((name, str(count), *cells))
+    header = ("method", "trainings", *(f"{task} {measure.name}" for task in tasks for measure in TASKS[task].measures))
+    note = "Mean (least to most) over trainings with different seeds; the other tables are of the first."
+    return Table("Training seeds", header, tuple(rows), (note,))
 
 
 def differences_table(runs: Sequence[Run]) -> Table:
@@ -135,6 +159,8 @@ def _notes(runs: Sequence[Run], tasks: Sequence[str]) -> tuple[str, ...]:
     names = {measure.name for task in tasks for measure in TASKS[task].measures}
     meanings = [meaning for name, meaning in _MEANINGS.items() if name in names]
     notes += [f"success: of all attempts; {'; '.join(meanings)}."] if meanings else []
+    named = {run.label: run.rows[0] for run in runs if not run.label.startswith(run.rows[0].method)}
+    notes += [f"{label}: method {row.method}, model {row.model or 'none'}." for label, row in named.items()]
     versions = sorted({", ".join(f"{name} {v}" for name, v in run.rows[0].versions.items()) for run in runs})
     physics, current = runs[0].rows[0].physics, physics_hash()
     differs = "" if physics == current else f", which is not this program's ({current})"
@@ -166,12 +192,21 @@ def _rate(run: Run, measure: Measure) -> str:
     won, trials = _columns(run, measure, sorted(run.scenes))
     if TASKS[run.task].cluster == "attempt":
         return _wilson(int(won.sum()), int(trials.sum()))
-    rate = won.sum() / trials.sum()
+    rate = _value(run, measure)
     if rate in (0, 1):
         # Nothing varies, so resampling would claim certainty.
         return _with_interval(rate, wilson_interval(int(rate) * len(trials), len(trials)))
     interval = bootstrap_rate(won, trials, np.random.default_rng(SEED)) if len(trials) > 1 else None
     return _with_interval(rate, interval)
+
+
+def _value(run: Run, measure: Measure) -> float:
+    won, trials = _columns(run, measure, sorted(run.scenes))
+    return float(won.sum() / trials.sum())
+
+
+def _spread(values: Sequence[float]) -> str:
+    return f"{np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f})" if values else ""
 
 
 def _wilson(successes: int, trials: int) -> str:

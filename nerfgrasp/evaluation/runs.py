@@ -1,11 +1,12 @@
 """Results files as runs of methods that may be compared: of one physics, and on the same scenes."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
+from types import MappingProxyType
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.results import Row, Times, read_results, read_times, times_path
@@ -27,7 +28,18 @@ class Run:
     times: tuple[Times, ...]
     """How long they took; empty where that is not kept."""
     label: str
-    """The method, with its model's hash where several models of one method are compared, and the schedule asked for."""
+    """The name given, or the method, with its model's hash where several models of one method are compared and the
+    schedule asked for."""
+
+    @property
+    def name(self) -> str:
+        """The label, less the number of a repeated training: `MV3` of `MV3#1`."""
+        return self.label.partition("#")[0]
+
+    @property
+    def repeated(self) -> bool:
+        """Whether it is of a repeated training."""
+        return "#" in self.label
 
     @property
     def task(self) -> str:
@@ -43,14 +55,19 @@ class Run:
         return scenes
 
 
-def load_runs(paths: Sequence[Path]) -> list[Run]:
+def load_runs(paths: Sequence[Path], names: Mapping[Path, str] = MappingProxyType({})) -> list[Run]:
     """Reads results files, with the wall times beside them where there are any, in the order given.
 
     A file of wall times that is named along with its results, as by `*.jsonl`, is no run.
 
+    Args:
+        paths: the files.
+        names: what their runs are to be called; `MV3#1` for another training of what is called `MV3`.
+
     Raises:
         UserError: a file is damaged, mixes runs or lacks an attempt; or two files are of the same method and task,
-            of different physics, or of different scenes. The message names what differs, and where.
+            of different physics, or of different scenes; or a name stands for two. The message names what differs, and
+            where.
     """
     twice, count = Counter(paths).most_common(1)[0]
     if count > 1:
@@ -64,11 +81,13 @@ def load_runs(paths: Sequence[Path]) -> list[Run]:
     runs = []
     for path, rows in files.items():
         first, beside = rows[0], times_path(path)
-        named = [(first.model or "no model")[:8]] if first.method in several else []
-        label = " ".join([first.method, *named, *([first.schedule] if first.schedule else [])])
+        hashed = [(first.model or "no model")[:8]] if first.method in several else []
+        method = " ".join([first.method, *hashed, *([first.schedule] if first.schedule else [])])
+        label = names.get(path, method)
         runs.append(Run(path, tuple(rows), tuple(read_times(beside)) if beside.exists() else (), label))
     for one, other in combinations(runs, 2):
         _check_pair(one, other)
+        _check_names(one, other)
     return runs
 
 
@@ -110,3 +129,9 @@ def _check_pair(one: Run, other: Run) -> None:
             raise UserError(
                 f"scene {scene} of {a.set} is {its} in {other.path} and {mine} in {one.path}: not the same scenes"
             )
+
+
+def _check_names(one: Run, other: Run) -> None:
+    a, b = one.rows[0], other.rows[0]
+    if one.label == other.label and (a.method, a.model, a.schedule) != (b.method, b.model, b.schedule):
+        raise UserError(f"{one.path} and {other.path} are both called {one.label}: a name stands for one method")

@@ -31,6 +31,8 @@ class GraspValueConfig:
     """Whether the value is the mean over the four orders in which a parallel gripper and its mirror images meet the
     same poses: by construction half-turned grasps are worth the same, and what is learned on one side holds on the
     other."""
+    renders: bool = True
+    """Whether the backbone has learned to render: if not, its density says nothing, and no search is to heed it."""
 
 
 class GraspValue(nn.Module):

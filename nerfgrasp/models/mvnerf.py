@@ -142,6 +142,10 @@ class MVNeRF(nn.Module):
         """Returns the scene activations: of the fine field, each `[B, R, S, width]`; see `Field.activations`."""
         return self.fine.activations(features.fine, points, directions)
 
+    def rendering_parts(self) -> list[nn.Module]:
+        """Returns the parts that only renderings depend on, and no scene activation."""
+        return [part for part in (self.coarse, self.fine.readout, self.fine.blend) if part is not None]
+
     def _range(self, origins: Tensor, directions: Tensor, workspace: Workspace) -> tuple[Tensor, Tensor]:
         if self.config.depth_range is not None:
             near, far = (torch.full_like(origins[..., 0], distance) for distance in self.config.depth_range)

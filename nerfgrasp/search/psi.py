@@ -139,6 +139,8 @@ class Psi:
             scene = self.observe(scene, Workspace() if workspace is None else workspace)
         features, box = scene.features, scene.workspace
         how = self.strategy if strategy is None else strategy
+        if not self.model.config.renders:
+            how = how.blind()
         climbed, trace = search(
             lambda T: self.model.value(features, T),
             load_pose(pose, box),

@@ -47,6 +47,11 @@ class Strategy:
         """How many climb at most."""
         return min(count for count in (self.candidates, self.keep, self.climbers) if count is not None)
 
+    def blind(self) -> "Strategy":
+        """Returns a search for a model that has not learned to render: its density means nothing and is not asked."""
+        base = self if self.spacing is None else replace(RESAMPLE, limits=self.limits)
+        return replace(base, feasibility=None)
+
     def settings(self) -> dict[str, Any]:
         """Returns as JSON data what a user may have set."""
         limits = self.limits

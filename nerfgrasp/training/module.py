@@ -1,6 +1,7 @@
 """What the trainings share: scores over held-out scenes, and Adam under a schedule."""
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import torch
 from lightning import LightningModule
@@ -8,6 +9,8 @@ from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from torchmetrics import Metric, MetricCollection
 
 from nerfgrasp.training.schedule import LearningRate
+
+Network = TypeVar("Network")
 
 
 class ScheduledTraining(LightningModule):
@@ -43,3 +46,10 @@ class ScheduledTraining(LightningModule):
         optimizer = torch.optim.Adam(groups)
         scheduler = torch.optim.lr_scheduler.LambdaLR(optimizer, self.schedule)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "step"}}
+
+
+def seeded(seed: int, build: Callable[[], Network]) -> Network:
+    """Returns what `build` makes with random numbers of the seed; the state of the process's own stays as it is."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return build()

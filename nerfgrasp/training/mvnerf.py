@@ -12,7 +12,7 @@ from nerfgrasp.errors import UserError
 from nerfgrasp.models import MVNeRF, MVNeRFConfig, render_image
 from nerfgrasp.models.folder import load_backbone
 from nerfgrasp.models.scores import image_scores
-from nerfgrasp.training.module import ScheduledTraining
+from nerfgrasp.training.module import ScheduledTraining, seeded
 from nerfgrasp.training.schedule import LearningRate
 
 
@@ -46,7 +46,7 @@ class MVNeRFTraining(ScheduledTraining):
         seed: int = 0,
     ) -> None:
         super().__init__(schedule, {name: MeanMetric() for name in ("psnr", "psnr_objects", "ssim")})
-        self.network = _new(network, seed) if init_from is None else _pretrained(init_from, network)
+        self.network = seeded(seed, lambda: MVNeRF(network)) if init_from is None else _pretrained(init_from, network)
         if image_size is not None:
             self.network.config = replace(self.network.config, image_size=image_size)
         if compile:
@@ -98,12 +98,6 @@ class MVNeRFTraining(ScheduledTraining):
         every = self.trainer.accumulate_grad_batches if self._trainer else 1
         number = self.global_step * every + batch_idx % every
         return torch.Generator().manual_seed(self.seed + 1_000_003 * (number + 1) + 15_485_863 * self.global_rank)
-
-
-def _new(config: MVNeRFConfig, seed: int) -> MVNeRF:
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        return MVNeRF(config)
 
 
 def _pretrained(name: str, config: MVNeRFConfig) -> MVNeRF:

@@ -333,6 +333,27 @@ def test_a_grasp_value_trains_and_does_not_resume_on_another_backbone(
     assert line.startswith("unknown model ")
 
 
+def test_a_grasp_value_from_scratch_is_resumed_to_the_byte(
+    grasp_config: Path, run: Path, tiny_network, tmp_path: Path
+) -> None:
+    content = json.loads(grasp_config.read_text())
+    content["model"]["init_args"] |= {"backbone": None, "network": asdict(tiny_network())}
+    (tmp_path / "scratch.yaml").write_text(json.dumps(content))
+    args = ["fit", "--config", str(tmp_path / "scratch.yaml")]
+    assert cli.main([*args, "--trainer.max_steps", "3"]) == 0
+    unbroken = (run / "model" / "model.safetensors").read_bytes()
+    shutil.rmtree(run)
+    assert cli.main([*args, "--trainer.max_steps", "1", "--trainer.val_check_interval", "1"]) == 0
+    # The second time nothing is left to learn: it was killed before it wrote its model.
+    for _ in range(2):
+        shutil.rmtree(run / "model")
+        assert cli.main([*args, "--trainer.max_steps", "3", "--ckpt_path", "last"]) == 0
+        assert (run / "model" / "model.safetensors").read_bytes() == unbroken
+    model = load_model(run / "model")
+    assert isinstance(model, GraspValue)
+    assert not model.config.renders
+
+
 def test_missing_sets_are_made_before_training(
     config: Path, make_set: Callable[..., Path], run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -43,6 +43,15 @@ def test_the_table_is_printed(files: list[str], capsys: pytest.CaptureFixture[st
     assert "oracle - random" in out
 
 
+def test_results_are_called_as_they_are_given(files: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["report", f"Best={files[0]}", files[1]]) == 0
+    out = capsys.readouterr().out
+    assert "  Best    0.75 [0.30, 0.95]\n" in out
+    assert "Best: method oracle, model none." in out
+    assert "Best - random" in out
+    assert "are both called Best: a name stands for one method" in refusal(capsys, [f"Best={file}" for file in files])
+
+
 def test_the_report_is_the_same_every_time(files: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     printed = []
     for _ in range(2):

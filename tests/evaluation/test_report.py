@@ -107,6 +107,28 @@ def test_outcomes_errors_and_times(attempts: Attempts, write: Write) -> None:
     assert tables["simple: time"].rows == (("oracle", "0.250", "2.000", "0.500"),)
 
 
+def test_repeated_trainings_are_compared_apart(attempts: Attempts, write: Write) -> None:
+    outcomes = {"MV3": "ss--", "MV3#1": "sss-", "MV3#2": "s---", "random": "----"}
+    paths = {}
+    for number, (name, letters) in enumerate(outcomes.items()):
+        rows = attempts(*(["success" if letter == "s" else "slipped"] for letter in letters))
+        paths[write(f"{number}.jsonl", [replace(row, method="psi", model=f"{number}" * 16) for row in rows])] = name
+    tables = {table.title: table for table in report_tables(load_runs(list(paths), paths))}
+    overview = tables["Success rates [95 % interval]"]
+    assert [row[0] for row in overview.rows] == ["MV3", "random"]
+    assert f"MV3: method psi, model {'0' * 16}." in overview.notes
+    assert tables["Training seeds"].rows == (("MV3", "3", "0.50 (0.25 to 0.75)"),)
+    assert [row[0] for row in tables["simple: paired differences"].rows] == ["MV3 - random"]
+
+
+def test_the_paper_s_figures_stand_beside(attempts: Attempts, write: Write) -> None:
+    runs = load_runs([write("a.jsonl", attempts(["success"])), write("b.jsonl", attempts(["success"] * 3, **CLUTTER))])
+    tables = report_tables(runs, paper=True)
+    assert [table.title for table in tables][:2] == ["Success rates [95 % interval]", "The paper's table I"]
+    assert tables[1].header == tables[0].header
+    assert tables[1].rows[4] == ("MV3", "0.84", "0.57", "0.80", "0.20")
+
+
 def test_a_method_without_a_task_leaves_its_cells_empty(attempts: Attempts, write: Write) -> None:
     clutter = attempts(["success"] * 2, ["slipped"] * 2, method="psi", **CLUTTER)
     table = tables_of([write("a.jsonl", attempts(["success"])), write("b.jsonl", clutter)])[

@@ -6,6 +6,7 @@ from torch import Tensor, nn
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import Camera, make_pose
+from nerfgrasp.models import GraspValueConfig
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.search import ascent, psi
 from nerfgrasp.search.psi import Psi
@@ -22,6 +23,7 @@ class FakeValue(nn.Module):
         super().__init__()
         self.scale = nn.Parameter(torch.tensor(10.0))  # also says on which device it is
         self.seen: list[int] = []
+        self.config = GraspValueConfig()
 
     def observe(self, observations: Observations, workspace: Workspace) -> Tensor:
         self.seen.append(len(observations))
@@ -149,6 +151,14 @@ def test_a_guided_search_starts_where_something_is(
     _, trace = method.search(observe(3), workspace, generator=seeded(), strategy=find_strategy(candidates=40, keep=10))
     assert (starts[0][:, :2, 3].abs() < torch.tensor([0.023, 0.048])).all()  # the bar, and half a cell
     assert len(trace.value) == GUIDED.climb.steps + 1
+
+
+def test_the_density_of_a_model_that_does_not_render_is_not_asked(workspace: Workspace) -> None:
+    model = FakeValue()
+    model.config = GraspValueConfig(renders=False)
+    model.density = None  # type: ignore[assignment, method-assign]
+    grasps = finds(model, replace(GUIDED, rounds=GUIDED.rounds[:1])).propose(observe(3), workspace, generator=seeded())
+    assert torch.allclose(grasps.T_world_grasp[0, :3, 3], torch.tensor([0.05, 0.1, 0.15]), atol=0.02)
 
 
 def test_a_search_trains_nothing(method: Psi, workspace: Workspace) -> None:

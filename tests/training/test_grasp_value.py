@@ -1,5 +1,7 @@
 import math
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,8 @@ from nerfgrasp.data.streams import SceneSet
 from nerfgrasp.errors import UserError
 from nerfgrasp.models import GraspValue, GraspValueConfig, MVNeRF
 from nerfgrasp.models.folder import save_model, weights_hash
-from nerfgrasp.training import GraspValueTraining
+from nerfgrasp.search.psi import Psi
+from nerfgrasp.training import GraspValueTraining, MVNeRFTraining
 from nerfgrasp.training.grasp_value import grasp_loss
 
 
@@ -36,6 +39,12 @@ def data(packed_set: Path) -> Callable[[], GraspData]:
 def training(backbone: Path, **changes: Any) -> GraspValueTraining:
     sizes = {"activation_width": 8, "pose_width": 4, "hidden_width": 16, "output_width": 8}
     return GraspValueTraining(str(backbone), **{**sizes, "learning_rate": 3e-3, **changes})
+
+
+def from_scratch(network: Any, **changes: Any) -> GraspValueTraining:
+    sizes = {"activation_width": 8, "pose_width": 4, "hidden_width": 16, "output_width": 8}
+    rates = {"learning_rate": 3e-3, "encoder_learning_rate": 2e-3}
+    return GraspValueTraining(network=network, **{**sizes, **rates, **changes})
 
 
 def test_softmax_loss_by_hand() -> None:
@@ -123,3 +132,55 @@ def test_the_start_is_a_function_of_the_seed(backbone: Path) -> None:
 def test_a_backbone_that_is_not_there() -> None:
     with pytest.raises(UserError, match="unknown model"):
         training(Path("nowhere"))
+
+
+def test_from_scratch_all_that_a_value_reads_learns_and_nothing_else(tiny_network, data, fit) -> None:
+    field = replace(tiny_network().fine, blend=4)
+    module = from_scratch(tiny_network(fine=field))
+    before = {name: value.clone() for name, value in module.network.state_dict().items()}
+    _, losses = fit(module, data(), 25)
+    values = list(losses.values())
+    assert sum(values[-5:]) < 0.85 * sum(values[:5])
+    still = {name for name, value in module.network.state_dict().items() if torch.equal(value, before[name])}
+    assert still == {name for name in before if re.match(r"backbone\.(coarse|fine\.readout|fine\.blend)\.", name)}
+    learning = {id(parameter) for group in module.optimizers().param_groups for parameter in group["params"]}
+    assert learning == {id(parameter) for parameter in module.parameters() if parameter.requires_grad}
+
+
+def test_from_scratch_it_starts_where_a_backbone_does(tiny_network) -> None:
+    scratch = from_scratch(tiny_network(), seed=4).network.backbone
+    assert weights_hash(scratch) == weights_hash(MVNeRFTraining(tiny_network(), seed=4).network)
+
+
+def test_from_scratch_a_resumed_training_is_the_unbroken_one(tiny_network, data, fit, tmp_path: Path) -> None:
+    unbroken = from_scratch(tiny_network())
+    _, whole = fit(unbroken, data(), 4)
+    trainer, first = fit(from_scratch(tiny_network()), data(), 2)
+    trainer.save_checkpoint(tmp_path / "2.ckpt")
+    resumed = from_scratch(tiny_network(), seed=9)
+    _, rest = fit(resumed, data(), 4, tmp_path / "2.ckpt")
+    assert {**first, **rest} == whole
+    assert weights_hash(unbroken.network) == weights_hash(resumed.network)
+
+
+def test_from_scratch_and_on_a_backbone_do_not_resume_each_other(
+    backbone: Path, tiny_network, data, fit, tmp_path: Path
+) -> None:
+    modules = {"scratch": lambda: from_scratch(tiny_network()), "frozen": lambda: training(backbone)}
+    for name, module in modules.items():
+        fit(module(), data(), 1)[0].save_checkpoint(tmp_path / f"{name}.ckpt")
+    with pytest.raises(UserError, match="was made on another backbone .*; this training is from scratch"):
+        fit(modules["scratch"](), data(), 2, tmp_path / "frozen.ckpt")
+    with pytest.raises(UserError, match="was made from scratch; this one has "):
+        fit(modules["frozen"](), data(), 2, tmp_path / "scratch.ckpt")
+
+
+def test_what_never_learned_to_render_does_not_judge_feasibility(backbone: Path, tiny_network) -> None:
+    assert Psi(training(backbone).network).feasibility is not None
+    assert Psi(from_scratch(tiny_network()).network).feasibility is None
+
+
+def test_a_backbone_or_a_shape_must_be_given(backbone: Path, tiny_network) -> None:
+    for given in ({}, {"backbone": str(backbone), "network": tiny_network()}):
+        with pytest.raises(UserError, match="give backbone .* or network"):
+            GraspValueTraining(**given)

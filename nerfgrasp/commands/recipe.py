@@ -1,0 +1,221 @@
+"""The paper's table as a list of stages: data, backbones, heads, baselines, evaluation, report."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from nerfgrasp import registry
+from nerfgrasp.commands.configs import read_configs
+from nerfgrasp.commands.stages import Stage
+from nerfgrasp.errors import UserError, unknown_name
+from nerfgrasp.evaluation.methods import find_method, load_method
+
+Scale = Literal["laptop", "paper"]
+SCENE_SEED = 100
+"""Of the scenes that every method is tried in; no training set has it."""
+SIZES: dict[str, int] = {"laptop": 192, "paper": 480}
+"""The pictures' side in pixels, as in training."""
+PROBE = 10
+"""A short training has one of so many steps."""
+TABLE = "table.md"
+"""The report."""
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A method that the table trains itself; configs by their names, less `.yaml`."""
+
+    label: str
+    """What it is called in the table."""
+    head: str
+    """The config whose run gives the method's model."""
+    backbone: str | None = None
+    """The config of the pretraining before it."""
+    rates: tuple[float, ...] = ()
+    """Factors on the config's learning rates, each tried in a short training; the best is taken."""
+    repeated: bool = False
+    """Whether the head is trained anew with other seeds, to see what the seed does."""
+
+
+LEARNED = {
+    "mv3": Learned("MV3", "mv3_grasp", backbone="mv3", repeated=True),
+    "mv1": Learned("MV1", "mv1_grasp", backbone="mv1", repeated=True),
+    "no3": Learned("NO3", "no3_grasp", rates=(0.3, 1.0, 3.0)),
+    "no1": Learned("NO1", "no1_grasp", rates=(0.3, 1.0, 3.0)),
+    "tn": Learned("TN", "tn"),
+}
+"""The paper's methods."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What the table is to hold."""
+
+    folder: Path
+    """Where everything is made: `data`, `runs`, `results`, the table."""
+    methods: tuple[str, ...]
+    """Names out of `LEARNED`, registered methods, or `NAME=MODEL`."""
+    scale: Scale
+    """Of the configs."""
+    evaluate_only: bool
+    """Whether the shipped models are taken, `mv3-laptop` and its like, instead of training."""
+    scenes: int
+    """Of the task `simple`."""
+    clutter_scenes: int
+    """Of the task `clutter`."""
+    novel_scenes: int
+    """Of the task `novel`."""
+    objects: Path | None
+    """The folder of its objects."""
+    seeds: int
+    """Trainings of each head that is repeated; all but the first are tried in the task `simple` alone."""
+
+
+def table_stages(experiment: Experiment) -> list[Stage]:
+    """Returns the stages in an order in which they can be done, each method's trials right after its training.
+
+    Raises:
+        UserError: a method or a config does not exist, or a method is named twice.
+    """
+    stages: list[Stage] = []
+    for name in experiment.methods:
+        learned = LEARNED.get(name)
+        if learned is None:
+            label, model = _other(name)
+            stages += _trials(experiment, label, label, model)
+        elif experiment.evaluate_only:
+            model = f"{name}-{experiment.scale}"
+            find_method(model)
+            stages += _trials(experiment, name, learned.label, model)
+        else:
+            made = {stage.name for stage in stages}
+            stages += [stage for stage in _training(experiment, name, learned) if stage.name not in made]
+    names = [stage.name for stage in stages]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise UserError(f"methods: {' '.join(experiment.methods)}: stage {twice} is there twice")
+    return [*stages, _report(stages)]
+
+
+def _other(name: str) -> tuple[str, str]:
+    """Returns the label and the name for `evaluate` of a method that the table does not train."""
+    label, separator, model = name.partition("=")
+    if separator:
+        if re.fullmatch(r"[\w.+-]+", label) is None:
+            raise UserError(f"methods: {name}: a name is of letters, digits and any of . + - _")
+        find_method(model)
+        return label, str(Path(model).resolve()) if Path(model).is_dir() else model
+    registered = registry.names(registry.BASELINES)
+    if name not in registered:
+        raise unknown_name("method", name, [*LEARNED, *registered])
+    load_method(name, None)
+    return name, name
+
+
+def _training(experiment: Experiment, name: str, learned: Learned) -> Iterator[Stage]:
+    needs: tuple[str, ...] = ()
+    if learned.backbone is not None:
+        backbone = _fit(experiment, f"{name}-backbone", learned.backbone)
+        yield from _data(experiment, learned.backbone)
+        yield backbone
+        needs = (backbone.name,)
+    yield from _data(experiment, learned.head)
+    probes = tuple(_probes(experiment, name, learned))
+    yield from probes
+    head = _fit(experiment, f"{name}-head", learned.head, needs=needs, rivals=probes)
+    yield head
+    yield from _trials(experiment, name, learned.label, f"{head.run}/model", head.name)
+    for seed in range(1, experiment.seeds if learned.repeated else 1):
+        run = f"{head.run}-seed{seed}"
+        options = ("--model.init_args.seed", str(seed), "--data.init_args.seed", str(seed))
+        yield _fit(experiment, f"{name}-head-seed{seed}", learned.head, run, options, needs)
+        one = ("simple", experiment.scenes)
+        yield _trial(
+            experiment, one, f"{name}-seed{seed}", f"{learned.label}#{seed}", f"{run}/model", f"{name}-head-seed{seed}"
+        )
+
+
+def _probes(experiment: Experiment, name: str, learned: Learned) -> Iterator[Stage]:
+    """Yields a training of few steps for each factor on the learning rates."""
+    if not learned.rates:
+        return
+    config = _config(experiment, learned.head)
+    model, run = config["model"]["init_args"], config["trainer"]["default_root_dir"]
+    steps = str(config["trainer"]["max_steps"] // PROBE)
+    warm_up = str(model["schedule"]["warmup_steps"] // PROBE)
+    shorter = [f"--trainer.{key}" for key in ("max_steps", "val_check_interval")]
+    short = [part for option in (*shorter, "--model.init_args.schedule.decay_steps") for part in (option, steps)]
+    short += ["--model.init_args.schedule.warmup_steps", warm_up]
+    for factor in learned.rates:
+        rates = {key: model[key] * factor for key in ("learning_rate", "encoder_learning_rate")}
+        options = tuple(part for key, rate in rates.items() for part in (f"--model.init_args.{key}", f"{rate:.3g}"))
+        probe = f"{name}-rate-{factor:g}"
+        yield _fit(experiment, probe, learned.head, f"{run}-rate-{factor:g}", (*short, *options), options=options)
+
+
+def _fit(
+    experiment: Experiment,
+    name: str,
+    config: str,
+    run: str | None = None,
+    changes: tuple[str, ...] = (),
+    needs: tuple[str, ...] = (),
+    **more: Any,
+) -> Stage:
+    """Returns the stage of a training, whose losses and scores are kept as CSV."""
+    folder = run or str(_config(experiment, config)["trainer"]["default_root_dir"])
+    files = [part for file in _files(experiment, config) for part in ("--config", file)]
+    logger = ["--trainer.logger", "CSVLogger", "--trainer.logger.save_dir", folder]
+    moved = [] if run is None else ["--trainer.default_root_dir", run]
+    sets = tuple(stage.name for stage in _data(experiment, config))
+    return Stage(name, ("fit", *files, *logger, *moved, *changes), (*needs, *sets), folder, **more)
+
+
+def _data(experiment: Experiment, config: str) -> list[Stage]:
+    """Returns the stages of the data sets that a config asks for."""
+    from nerfgrasp.data.streams import SceneSet
+
+    init = _config(experiment, config).get("data", {}).get("init_args", {})
+    stages = []
+    for entry in (init[name] for name in ("train", "validation") if isinstance(init.get(name), dict)):
+        settings = asdict(SceneSet(**entry))
+        folder = Path(settings.pop("folder"))
+        options = [part for key, value in settings.items() for part in (f"--{key}", str(value).lower())]
+        stages.append(Stage(f"data-{folder.name}", ("generate", *options, "--out", str(folder))))
+    return stages
+
+
+def _trials(experiment: Experiment, key: str, label: str, model: str, *needs: str) -> list[Stage]:
+    counts = {
+        "simple": experiment.scenes,
+        "clutter": experiment.clutter_scenes,
+        "novel": experiment.novel_scenes,
+    }
+    return [_trial(experiment, one, key, label, model, *needs) for one in counts.items() if one[1] > 0]
+
+
+def _trial(experiment: Experiment, scenes: tuple[str, int], key: str, label: str, model: str, *needs: str) -> Stage:
+    task, count = scenes
+    options = {"task": task, "method": model, "scenes": count, "seed": SCENE_SEED, "size": SIZES[experiment.scale]}
+    if task == "novel" and experiment.objects is not None:
+        options["objects"] = str(experiment.objects)
+    options["out"] = f"results/{task}-{key}.jsonl"
+    command = ("evaluate", *(part for name, value in options.items() for part in (f"--{name}", str(value))))
+    return Stage(f"{task}-{key}", command, needs, gives=f"{label}={options['out']}")
+
+
+def _report(stages: list[Stage]) -> Stage:
+    trials = [stage for stage in stages if stage.gives]
+    command = ("report", *(stage.gives for stage in trials), "--paper", "true", "--format", "markdown", "--out", TABLE)
+    return Stage("report", command, tuple(stage.name for stage in trials), again=True)
+
+
+def _files(experiment: Experiment, config: str) -> list[str]:
+    """Returns a config at the paper's scale and, laid over it, the one at the experiment's."""
+    return [f"{config}.yaml", *([f"{experiment.scale}/{config}.yaml"] if experiment.scale != "paper" else [])]
+
+
+def _config(experiment: Experiment, config: str) -> dict[str, Any]:
+    return read_configs(_files(experiment, config), experiment.folder)

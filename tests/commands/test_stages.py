@@ -1,0 +1,134 @@
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+
+from nerfgrasp.commands.stages import Stage, Work, held_out_loss
+from nerfgrasp.errors import UserError
+
+STUB = """
+import sys, time
+from pathlib import Path
+with open("ran", "a") as file:
+    file.write(" ".join(sys.argv[1:]) + "\\n")
+verb, *names = sys.argv[1:]
+if verb == "meet":
+    Path(names[0]).touch()
+if verb in ("wait", "meet"):
+    while not Path(names[-1]).exists():
+        time.sleep(0.01)
+if verb == "fail" and not Path(names[-1]).exists():
+    print("no", names[-1])
+    sys.exit(3)
+"""
+
+
+@pytest.fixture
+def work(tmp_path: Path) -> Callable[[Sequence[Stage]], Work]:
+    """Returns a function of stages: their commands do what `STUB` says, and note in `ran` that they were run."""
+    (tmp_path / "stub.py").write_text(STUB)
+    folder = tmp_path / "work"
+    folder.mkdir()
+    return lambda stages: Work(folder, stages, (sys.executable, str(tmp_path / "stub.py")))
+
+
+def ran(work: Work) -> list[str]:
+    return (work.folder / "ran").read_text().splitlines()
+
+
+def test_each_stage_is_run_once_and_timed(work: Callable[..., Work], capsys: pytest.CaptureFixture[str]) -> None:
+    stages = [Stage("a", ("do", "a")), Stage("b", ("do", "b"), ("a",)), Stage("last", ("do", "last"), again=True)]
+    work(stages).run()
+    assert ran(work(stages)) == ["do a", "do b", "do last"]
+    out = capsys.readouterr().out
+    assert "[2 of 3] b: nerfgrasp do b\nb: done in 0:00:0" in out
+    record = json.loads((work(stages).folder / "stages" / "b.json").read_text())
+    assert record["command"] == "nerfgrasp do b"
+    assert record["seconds"] > 0
+    assert record["finished"] is not None
+    work([*stages[:2], Stage("c", ("do", "c")), stages[2]]).run()
+    assert ran(work(stages)) == ["do a", "do b", "do last", "do c", "do last"]
+    assert "4 stages, 2 done" in capsys.readouterr().out
+
+
+KILLED = """
+import sys
+from pathlib import Path
+from nerfgrasp.commands.stages import Stage, Work
+stages = [Stage("a", ("do", "a")), Stage("b", ("wait", "go")), Stage("c", ("do", "c"))]
+Work(Path("work"), stages, (sys.executable, str(Path("stub.py").resolve()))).run()
+"""
+
+
+def test_a_killed_run_goes_on_when_what_it_left_has_ended(
+    work: Callable[..., Work], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stages = [Stage("a", ("do", "a")), Stage("b", ("wait", "go")), Stage("c", ("do", "c"))]
+    process = subprocess.Popen([sys.executable, "-c", KILLED], cwd=tmp_path, stdout=subprocess.DEVNULL)
+    try:
+        deadline = time.monotonic() + 120
+        while not (tmp_path / "work" / "ran").exists() or len(ran(work(stages))) < 2:
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+    finally:
+        process.kill()
+        process.wait()
+    left = work(stages)
+    assert [left.done(stage) for stage in stages] == [True, False, False]
+    assert left.state(stages[1]) == "begun, 0:00:00"
+    # What the killed one had started still runs: two must not work on the same files.
+    threading.Timer(0.3, (tmp_path / "work" / "go").touch).start()
+    left.run()
+    assert "waiting for the process that works in" in capsys.readouterr().out
+    assert ran(left) == ["do a", "wait go", "wait go", "do c"]
+
+
+def test_a_failure_stops_with_its_command_and_its_log(work: Callable[..., Work]) -> None:
+    stages = [Stage("a", ("do", "a")), Stage("b", ("fail", "the file")), Stage("c", ("do", "c"))]
+    log = work(stages).folder / "stages" / "b.log"
+    with pytest.raises(UserError) as failed:
+        work(stages).run()
+    assert str(failed.value) == f"stage b ended with status 3: nerfgrasp fail 'the file'; its log is {log}"
+    assert log.read_text() == "no the file\n"
+    (log.parent.parent / "the file").touch()
+    work(stages).run()
+    assert ran(work(stages)) == ["do a", "fail the file", "fail the file", "do c"]
+
+
+def test_two_at_once_and_a_failure_interrupts_the_other(work: Callable[..., Work]) -> None:
+    stages = [Stage("a", ("meet", "A", "B")), Stage("b", ("meet", "B", "A"))]
+    work(stages).run(jobs=2)
+    more = [*stages, Stage("endless", ("wait", "never")), Stage("f", ("fail", "x"), ("a",)), Stage("g", (), ("f",))]
+    with pytest.raises(UserError, match="stage f ended with status 3"):
+        work(more).run(jobs=2)
+    assert not work(more).done(more[2])
+    assert "wait never" in ran(work(more))
+
+
+def test_the_best_rival_s_options_are_taken(work: Callable[..., Work], capsys: pytest.CaptureFixture[str]) -> None:
+    rivals = tuple(Stage(f"rate-{n}", ("do", "--rate", n), run=f"runs/{n}", options=("--rate", n)) for n in "123")
+    final = Stage("final", ("do",), rivals=rivals, run="runs/final")
+    for number, losses in (("1", "2.5,,1.5"), ("2", "2.5,,1.25"), ("3", "1.0,,nan")):
+        folder = work([]).folder / "runs" / number / "lightning_logs" / "version_0"
+        folder.mkdir(parents=True)
+        (folder / "metrics.csv").write_text("val/loss,step\n" + "".join(f"{loss},\n" for loss in losses.split(",")))
+    (work([]).folder / "runs" / "final" / "checkpoints").mkdir(parents=True)
+    (work([]).folder / "runs" / "final" / "checkpoints" / "last.ckpt").touch()
+    work([*rivals, final]).run()
+    assert ran(work([]))[-1] == "do --rate 2 --ckpt_path last"
+    assert "best: rate-2" in capsys.readouterr().out
+    assert work([*rivals, final]).done(final)
+    with pytest.raises(UserError, match="no val/loss"):
+        held_out_loss(work([]).folder / "runs" / "final")
+
+
+def test_another_command_under_the_same_name_is_refused(work: Callable[..., Work]) -> None:
+    work([Stage("a", ("do", "a"))]).run()
+    with pytest.raises(UserError, match=r"was another command \(nerfgrasp do a\), now nerfgrasp do b: give a new"):
+        work([Stage("a", ("do", "b"))])

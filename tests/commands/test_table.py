@@ -1,0 +1,66 @@
+"""The table with a method of a stranger's distribution, by the command as it is typed."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pybullet")
+
+from nerfgrasp import cli
+
+METHOD = "from nerfgrasp_baselines.random import Random\nclass Mine(Random): ...\n"
+
+
+@pytest.fixture
+def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A distribution, as pip lays it out, that declares the method `their_method`."""
+    info = tmp_path / "site" / "their_dist-0.3.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: their-dist\nVersion: 0.3\n")
+    (info / "entry_points.txt").write_text("[nerfgrasp.baselines]\ntheir_method = their_module:Mine\n")
+    (info.parent / "their_module.py").write_text(METHOD)
+    monkeypatch.syspath_prepend(str(info.parent))
+    paths = [str(info.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(paths))
+
+
+def test_a_stranger_s_method_has_a_row(
+    stranger: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")
+    out = tmp_path / "table"
+    args = ["table", "--out", str(out), "--methods", "their_method", "--scenes", "2"]
+    args += ["--clutter_scenes", "0", "--novel_poses", "0"]
+    assert cli.main([*args, "--status"]) == 0
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first.split()[:3] == ["simple-their_method", "to", "do"]
+    assert not out.exists()
+
+    assert cli.main(args) == 0
+    table = (out / "table.md").read_text()
+    assert "\n| their_method | 0." in table
+    assert "\n| MV3    |           0.84 |" in table
+    assert "nerfgrasp evaluate --task simple --method their_method" in (out / "times.md").read_text()
+    capsys.readouterr()
+    assert cli.main([*args, "--status"]) == 0
+    assert " done in 0:0" in capsys.readouterr().out.splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("args", "line"),
+    [
+        (["--methods", "randm"], "unknown method 'randm': did you mean 'random'"),
+        (["--methods", "random", "--scenes", "0"], "scenes is 0: it must be at least 1"),
+        (["--methods", "random", "--sceens", "3"], "--sceens 3 (did you mean --scenes?)"),
+        (["--methods", "random", "--scale", "desk"], "desk"),
+    ],
+)
+def test_mistakes_are_one_line_and_nothing_is_written(
+    args: list[str], line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["table", "--out", str(tmp_path / "out"), *args]) == 2
+    err = capsys.readouterr().err
+    assert line in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
