@@ -204,7 +204,8 @@ def _check_checkpoint(name: Any) -> None:
 
 
 def _image_bytes(scenes: SceneSet) -> int:
-    return 4 * scenes.scenes * scenes.views * scenes.size**2  # RGB and the mask
+    pixel = 6 if scenes.depth else 4  # RGB, the mask and, two bytes, depth
+    return pixel * scenes.scenes * scenes.views * scenes.size**2
 
 
 def _make(scenes: SceneSet) -> None:
@@ -218,4 +219,5 @@ def _make(scenes: SceneSet) -> None:
         out=Path(scenes.folder),
         size=scenes.size,
         demonstrations=scenes.demonstrations,
+        depth=scenes.depth,
     )

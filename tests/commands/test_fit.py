@@ -346,7 +346,7 @@ def test_missing_sets_are_made_before_training(
     sets = [json.dumps(set_entry(tmp_path / name, scenes=2, views=4)) for name in ("new", "new-held-out")]
     args = ["--data.init_args.train", sets[0], "--data.init_args.validation", sets[1]]
     assert cli.main(["fit", "--config", str(config), *args]) == 0
-    settings = {"scenes": 2, "views": 4, "seed": 5, "size": 32, "demonstrations": False}
+    settings = {"scenes": 2, "views": 4, "seed": 5, "size": 32, "demonstrations": False, "depth": False}
     assert made == [("simple", "new", settings), ("simple", "new-held-out", settings)]
 
 
