@@ -87,7 +87,7 @@ def _pictures(camera: Camera, box: Prism) -> tuple[np.ndarray, np.ndarray, np.nd
     hit = (far > near)[..., None]
     colour = torch.where(hit, torch.tensor(box.colour), 0.6 + 0.2 * light.expand(-1, -1, 3))
     shape = (len(camera), camera.height, camera.width)
-    along = (directions @ camera.T_world_camera[:, :3, 2:]) * torch.where(hit, near[..., None], to_table)
+    along = (directions @ camera.T_world_camera[:, :3, 2:3]) * torch.where(hit, near[..., None], to_table)
     depth = torch.where(along > 0, along, torch.inf).view(shape).numpy()
     return (colour * 255).round().byte().view(*shape, 3).numpy(), hit.byte().view(shape).numpy(), depth
 
