@@ -54,7 +54,8 @@ def save_model(folder: Path, model: StoredModule, *, dtype: torch.dtype | None =
 
 def load_model(name: str | Path) -> MVNeRF | GraspValue:
     """Reads a scene model or a grasp value; argument and errors as `load_stored`'s."""
-    model: MVNeRF | GraspValue = load_stored(name, GraspValue, MVNeRF)
+    model = load_stored(name, GraspValue, MVNeRF)
+    assert isinstance(model, GraspValue | MVNeRF)
     return model
 
 

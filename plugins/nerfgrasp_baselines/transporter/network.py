@@ -4,6 +4,7 @@ Source: Zeng et al. 2020, "Transporter Networks", sections 3.1 and 4: 43 layers,
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -71,8 +72,7 @@ class Attention(StoredModule):
         self.stem = nn.Conv2d(CHANNELS * folded, widths[0], 3, padding=1)
         before = (widths[0], *widths[:-1])
         self.down = nn.ModuleList(_stage(a, b, config.blocks) for a, b in zip(before, widths, strict=True))
-        back = widths[::-1]
-        self.up = nn.ModuleList(_stage(a, b, config.blocks) for a, b in zip(back, back[1:], strict=False))
+        self.up = nn.ModuleList(_stage(a, b, config.blocks) for a, b in pairwise(widths[::-1]))
         self.readout = nn.Conv2d(widths[0], folded, 1)
         self.apply(_start)
 

@@ -81,9 +81,8 @@ def test_parts_of_pixels_lie_on_the_plane_that_is_seen(cameras: Callable[..., Ca
     inner = points[:, 3:-3, 3:-3]
     torch.testing.assert_close(inner[..., 2], torch.zeros(2, 42, 42), atol=1e-5, rtol=0)
     # The middle part of three is the pixel's own ray.
-    torch.testing.assert_close(
-        points[:, 4:-3:3, 4:-3:3, :2], (rays * depth[..., None] + whole - rays)[:, 1:-1, 1:-1, :2]
-    )
+    pixels = camera.T_world_camera[:, None, None, :3, 3] + rays * depth[..., None]
+    torch.testing.assert_close(points[:, 4:-3:3, 4:-3:3], pixels[:, 1:-1, 1:-1], atol=1e-5, rtol=0)
 
 
 def test_no_point_lies_between_two_surfaces(from_above: Camera) -> None:
@@ -100,10 +99,14 @@ def test_what_lies_on_the_map() -> None:
 
 
 def test_a_box_stands_where_it_is(make_set: Callable[..., Path], tmp_path: Path) -> None:
-    scenes = PackedScenes(make_set(tmp_path / "set", scenes=2, size=64, demonstrations=True, depth=True))
+    scenes = PackedScenes(make_set(tmp_path / "set", scenes=2, views=3, size=256, demonstrations=True, depth=True))
     grasp = scenes.truth(0).demonstration
     assert grasp is not None
-    heights = read_heights(scenes, 0, np.arange(3), grasp, 0.005).maps[3]
-    column, row = ((grasp[:2, 3] + 0.25) / 0.005).long()
+    pixel, middle = 0.0025, grasp[:2, 3]
+    heights = read_heights(scenes, 0, np.arange(3), grasp, pixel).maps[3]
+    column, row = ((middle + 0.25) / pixel).long()
     assert abs(float(heights[row, column]) - 0.08) < 5e-4
-    assert abs(float((heights > 0.04).sum()) * 0.005**2 - 0.06 * 0.16) < 1e-3
+    cells = (heights > 0.04).nonzero().flip(1) + 0.5
+    torch.testing.assert_close(cells.mean(dim=0) * pixel - 0.25, middle, atol=1e-3, rtol=0)
+    # Half a pixel of the images and half a cell, all around, is what the highest of all views may add to 60 × 160 mm.
+    assert -1e-4 < len(cells) * pixel**2 - 0.06 * 0.16 < 0.44 * 0.0035

@@ -9,22 +9,28 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from nerfgrasp_baselines.transporter.canvases import grasp_cell
+import yaml
+
+pytest.importorskip("pybullet")
+
+from nerfgrasp_baselines.transporter.canvases import canvas_side, grasp_cell
 from nerfgrasp_baselines.transporter.data import HeightMapData, read_heights
 from nerfgrasp_baselines.transporter.method import Transporter
 from nerfgrasp_baselines.transporter.network import Attention, TransporterConfig
 from nerfgrasp_baselines.transporter.training import TransporterTraining, attention_loss
 
 from nerfgrasp import cli
+from nerfgrasp.commands.fit import shipped_configs
 from nerfgrasp.data.packed import PackedScenes
 from nerfgrasp.data.streams import SceneSet
 from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.methods import find_method, load_method, method_hash
-from nerfgrasp.models.folder import load_model, save_model, weights_hash
+from nerfgrasp.models.folder import from_plain, load_model, save_model, weights_hash
 from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
 from nerfgrasp.scenes.scene import Observations, Workspace
 from nerfgrasp.search.limits import Limits
 from nerfgrasp.search.ranking import grasp_angle
+from nerfgrasp.sim.physics import physics_hash
 
 TINY = TransporterConfig(widths=(8, 16), blocks=1, fold=2, skips=True, rotations=6, pixel=0.0125)
 
@@ -33,7 +39,8 @@ TINY = TransporterConfig(widths=(8, 16), blocks=1, fold=2, skips=True, rotations
 def folder(make_set: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A set with demonstrations and depth; the last of its three scenes has no demonstration."""
     path = tmp_path_factory.mktemp("transporter") / "set"
-    return make_set(path, scenes=3, views=4, size=48, demonstrations=True, depth=True)
+    kept = {"demonstrations": True, "depth": True, "physics": physics_hash()}
+    return make_set(path, scenes=3, views=4, size=48, **kept)
 
 
 @pytest.fixture
@@ -81,7 +88,7 @@ def test_one_scene_is_learned_to_the_cell(folder: Path) -> None:
         loss.backward()
         optimizer.step()
         losses.append(float(loss.detach()))
-    assert losses[0] > 8.0
+    assert losses[0] > 7.0
     assert losses[-1] < 2.0
     best = propose(network, observations(folder)).T_world_grasp[0]
     assert (best[:2, 3] - grasp[:2, 3]).abs().max() <= TINY.pixel
@@ -125,7 +132,7 @@ def test_a_batch_is_a_function_of_its_generator(scene_set: SceneSet) -> None:
 def config(folder: Path, tmp_path: Path) -> Path:
     """What makes tn.yaml train for two steps."""
     scenes = {"folder": str(folder), "scenes": 3, "views": 4, "seed": 5, "size": 48}
-    sets = dict.fromkeys(("train", "validation"), {**scenes, "demonstrations": True, "depth": True})
+    sets = {name: {**scenes, "demonstrations": True, "depth": True} for name in ("train", "validation")}
     network = {**vars(TINY), "widths": list(TINY.widths)}
     trainer = {"default_root_dir": str(tmp_path / "run"), "max_steps": 2, "val_check_interval": 2, "logger": False}
     content = {
@@ -151,9 +158,9 @@ def test_fit_ends_with_a_model_folder_that_finds_grasps(
     assert method_hash(method) == weights_hash(method.model)[:16]
     grasps = method.propose(observations(folder), Workspace(), generator=torch.Generator(), count=2)
     assert len(grasps) == 2
-    for pixel, line in (("0.02", "data.init_args.pixel is 0.02, but the network's is 0.0125"),):
-        assert cli.main(["fit", "--config", "tn.yaml", "--config", str(config), "--data.init_args.pixel", pixel]) == 2
-        assert line in capsys.readouterr().err.splitlines()[-1]
+    args = ["fit", "--config", "tn.yaml", "--config", str(config), "--data.init_args.pixel", "0.02"]
+    assert cli.main(args) == 2
+    assert "data.init_args.pixel is 0.02, but the network's is 0.0125" in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_models_are_not_mistaken_for_each_other(tiny_network: Callable[..., Any], tmp_path: Path) -> None:
@@ -170,13 +177,25 @@ def test_models_are_not_mistaken_for_each_other(tiny_network: Callable[..., Any]
     assert not again.training
 
 
+@pytest.mark.parametrize("scale", ["", "laptop/"])
+def test_tn_learns_from_the_demonstrations_of_mv3(scale: str) -> None:
+    paths = shipped_configs([f"--config={scale}{name}.yaml" for name in ("tn", "mv3_grasp")])
+    plain, other = (yaml.safe_load(Path(path.removeprefix("--config=")).read_text()) for path in paths)
+    for entry in ("train", "validation"):
+        scenes, same = (dict(config["data"]["init_args"][entry]) for config in (plain, other))
+        assert scenes.pop("depth") is True
+        assert scenes.pop("folder") != same.pop("folder")
+        assert scenes == same
+    with torch.device("meta"):
+        network = Attention(from_plain(TransporterConfig, plain["model"].get("init_args", {}).get("network", {})))
+    assert canvas_side((160, 160), network.multiple) == 224
+
+
 def test_the_papers_network_has_43_layers_and_a_readout() -> None:
     with torch.device("meta"):
         network = TransporterTraining().network
-        layers = [module for module in network.modules() if isinstance(module, torch.nn.Conv2d)]
-        beside = [
-            module.skip for module in network.modules() if isinstance(getattr(module, "skip", None), torch.nn.Conv2d)
-        ]
+        layers = {name for name, module in network.named_modules() if isinstance(module, torch.nn.Conv2d)}
+        beside = {name for name in layers if name.endswith(".skip")}
         assert network(torch.zeros(2, 4, 224, 224)).shape == (2, 224, 224)
     assert len(layers) - len(beside) == 43 + 1
     assert not any(isinstance(module, torch.nn.BatchNorm2d) for module in network.modules())
