@@ -72,8 +72,8 @@ def _box(rng: np.random.Generator) -> tuple[Prism, torch.Tensor]:
     return prism, make_pose(turn @ down, place + torch.tensor([0.0, 0.0, height - 0.02]))
 
 
-def _pictures(camera: Camera, box: Prism) -> tuple[np.ndarray, np.ndarray]:
-    """Ray-casts a box on a chequered table: images `[V, H, W, 3]` and masks `[V, H, W]`, uint8."""
+def _pictures(camera: Camera, box: Prism) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ray-casts a box on a chequered table: images `[V, H, W, 3]` and masks `[V, H, W]`, uint8, and depth in metres."""
     pixels = pixel_centres(camera.width, camera.height).flatten(0, 1).expand(len(camera), -1, 2)
     origins, directions = pixel_rays(camera, pixels)
     T_object_world = invert(box.T_world_object)
@@ -81,12 +81,15 @@ def _pictures(camera: Camera, box: Prism) -> tuple[np.ndarray, np.ndarray]:
     least = torch.tensor([*box.parts[0][0], 0.0])
     turned = directions @ T_object_world[:3, :3].T
     near, far = box_intersection(transform(T_object_world, origins), turned, least, corner)
-    on_table = origins - directions * (origins[..., 2:] / directions[..., 2:])
+    to_table = -origins[..., 2:] / directions[..., 2:]
+    on_table = origins + directions * to_table
     light = ((on_table[..., :2] * 10).floor().sum(-1, keepdim=True) % 2 == 0).float()
     hit = (far > near)[..., None]
     colour = torch.where(hit, torch.tensor(box.colour), 0.6 + 0.2 * light.expand(-1, -1, 3))
     shape = (len(camera), camera.height, camera.width)
-    return (colour * 255).round().byte().view(*shape, 3).numpy(), hit.byte().view(shape).numpy()
+    along = (directions @ camera.T_world_camera[:, :3, 2:3]) * torch.where(hit, near[..., None], to_table)
+    depth = torch.where(along > 0, along, torch.inf).view(shape).numpy()
+    return (colour * 255).round().byte().view(*shape, 3).numpy(), hit.byte().view(shape).numpy(), depth
 
 
 @pytest.fixture(scope="session")
@@ -106,7 +109,8 @@ def make_set(cameras: Callable[..., Camera]) -> Callable[..., Path]:
             box, grasp = _box(np.random.default_rng((seed, index)))
             camera = cameras(views, size, seed=100 * seed + index)
             truth = Truth("simple", seed, index, (box,), None if index == scenes - 1 else grasp)
-            writer.write(index, *_pictures(camera, box), camera, truth)
+            images, masks, depth = _pictures(camera, box)
+            writer.write(index, images, masks, camera, truth, depth if settings.depth else None)
         return folder
 
     return make

@@ -17,6 +17,7 @@ from nerfgrasp.commands.parsing import OneLineErrors
 from nerfgrasp.data.streams import SceneSet, StepDataModule
 from nerfgrasp.errors import UserError
 from nerfgrasp.models.folder import save_model
+from nerfgrasp.models.stored import StoredModule
 from nerfgrasp.training.callbacks import ExpectedTime, ExponentialAverage, RayRate, StopOnNotFinite
 from nerfgrasp.training.checkpoints import StepCheckpoint, WholeCheckpoints
 from nerfgrasp.viz.held_out import HeldOutRenders
@@ -148,16 +149,17 @@ def main(verb: str, args: list[str]) -> None:
 
 
 def _check_inputs(module: LightningModule, data: Any) -> None:
+    """Refuses a network that no model folder could hold, and data that it does not take."""
     network = getattr(module, "network", None)
-    config = getattr(network, "config", None)
-    backbone = getattr(config, "backbone", config)
-    if backbone is None:
-        return
-    if getattr(data, "views", backbone.views) != backbone.views:
-        raise UserError(f"data.init_args.views is {data.views}, but the network sees {backbone.views} views")
-    size = getattr(data, "image_size", None)
-    if size not in (None, backbone.image_size):
-        raise UserError(f"data.init_args.image_size is {size}, but the network's is {backbone.image_size}")
+    if not isinstance(network, StoredModule):
+        raise UserError(f"model: {type(module).__name__} has no `network` that a model folder can hold")
+    backbone = getattr(network.config, "backbone", network.config)
+    views, size = getattr(backbone, "views", None), getattr(backbone, "image_size", None)
+    if views is not None and getattr(data, "views", views) != views:
+        raise UserError(f"data.init_args.views is {data.views}, but the network sees {views} views")
+    asked = getattr(data, "image_size", None)
+    if asked not in (None, size):
+        raise UserError(f"data.init_args.image_size is {asked}, but the network's is {size}")
 
 
 def _user_mistake(error: BaseException | None) -> UserError | None:
@@ -176,7 +178,8 @@ def _check_checkpoint(name: Any) -> None:
 
 
 def _image_bytes(scenes: SceneSet) -> int:
-    return 4 * scenes.scenes * scenes.views * scenes.size**2  # RGB and the mask
+    pixel = 6 if scenes.depth else 4  # RGB, the mask and, two bytes, depth
+    return pixel * scenes.scenes * scenes.views * scenes.size**2
 
 
 def _make(scenes: SceneSet) -> None:
@@ -190,4 +193,5 @@ def _make(scenes: SceneSet) -> None:
         out=Path(scenes.folder),
         size=scenes.size,
         demonstrations=scenes.demonstrations,
+        depth=scenes.depth,
     )

@@ -40,6 +40,7 @@ def generate(
     cluster: Cluster | None = None,
     objects: Path | None = None,
     format: Literal["packed", "folders"] = "packed",
+    depth: bool = False,
 ) -> None:
     """Generates a set of simulated scenes: images from known cameras, the truth and, if asked for, a grasp each.
 
@@ -59,6 +60,8 @@ def generate(
         objects: for `novel`: a folder of URDFs or meshes; the one that NERFGRASP_OBJECTS names if not given, or else
             the objects that come with pybullet.
         format: `packed` for training, or `folders`, one scene folder each.
+        depth: whether to keep the images' depth, for methods that need it; in packed sets alone. The rest of the set
+            stays the same.
 
     Raises:
         UserError: a value is out of range, or `out` holds another set or cannot be written.
@@ -70,11 +73,13 @@ def generate(
     check_ranges(scenes=scenes, views=views, seed=seed, size=size, workers=workers)
     if format not in WRITERS:
         raise unknown_name("format", format, WRITERS)
+    if depth and format != "packed":
+        raise UserError(f"depth is kept in packed sets alone, not in {format}")
     found = find_task(task, objects)
     # Simple scenes are drawn, not settled: without demonstrations nothing in them depends on physics.
     physics = physics_hash() if demonstrations or task != "simple" else ""
     catalogue = open_catalogue(objects).sha256 if found.catalogue else ""
-    settings = SetSettings(task, seed, scenes, views, size, demonstrations, physics, format, catalogue)
+    settings = SetSettings(task, seed, scenes, views, size, demonstrations, physics, format, catalogue, depth)
     writer = WRITERS[format](Path(out), settings)
     writer.prepare(Workspace())
     if not writer.missing():
@@ -105,12 +110,16 @@ def write_slot(writer: PackedWriter | FolderWriter, task: "Task", index: int) ->
     settings = writer.settings
     truth = task.draw(settings.seed, index)
     camera = scene_cameras(settings.seed, index, settings.views, settings.size)
-    images, masks = render_scene(truth, camera)
+    depth = None
+    if settings.depth:
+        images, masks, depth = render_scene(truth, camera, depth=True)
+    else:
+        images, masks = render_scene(truth, camera)
     if settings.demonstrations:
         from nerfgrasp.sim.attempt import demonstrate
 
         truth = replace(truth, demonstration=demonstrate(truth))
-    writer.write(index, images, masks, camera, truth)
+    writer.write(index, images, masks, camera, truth, depth)
 
 
 def _report(writer: PackedWriter | FolderWriter) -> None:

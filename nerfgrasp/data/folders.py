@@ -13,7 +13,7 @@ from nerfgrasp.scenes.scene import Observations, Scene, Truth, Workspace
 
 
 class FolderWriter:
-    """Writes the scenes of a set as folders `NNNNNN/`; used as `PackedWriter` is. Masks are not kept.
+    """Writes the scenes of a set as folders `NNNNNN/`; used as `PackedWriter` is. Masks and depth are not kept.
 
     Args:
         folder: the set's folder.
@@ -36,7 +36,15 @@ class FolderWriter:
         """Returns the numbers of the scenes that are not complete."""
         return [index for index in range(self.settings.scenes) if not self._path(index).exists()]
 
-    def write(self, index: int, images: np.ndarray, masks: np.ndarray, camera: Camera, truth: Truth) -> None:
+    def write(
+        self,
+        index: int,
+        images: np.ndarray,
+        masks: np.ndarray,
+        camera: Camera,
+        truth: Truth,
+        depth: np.ndarray | None = None,
+    ) -> None:
         """Writes scene `index`: images `[V, H, W, 3]` uint8, cameras `[V]`. Another process may have done so.
 
         Raises:

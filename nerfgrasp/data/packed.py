@@ -1,6 +1,6 @@
 """Packed sets: the images of many scenes in arrays that are mapped, not read.
 
-A set's folder holds `set.json`, the arrays of `ARRAYS` with scenes and views leading, and `scenes/NNNNNN.json`,
+A set's folder holds `set.json`, the arrays of `array_layout` with scenes and views leading, and `scenes/NNNNNN.json`,
 the truth of each scene. A scene's truth is written last, so that its being there says the scene is complete.
 """
 
@@ -19,17 +19,20 @@ from nerfgrasp.geometry import Camera
 from nerfgrasp.scenes.scene import Observations, Scene, Truth, Workspace
 from nerfgrasp.scenes.truth import truth_from_json, truth_to_json
 
-ARRAYS = ("images", "masks", "intrinsics", "T_world_camera")
+DEPTH_UNIT = 1e-4
+"""Metres that a stored depth of 1 stands for; 0 stands for no depth: nothing there, or farther than 6.55 m."""
 
 
 def array_layout(settings: SetSettings) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
     """Returns shape and type of each of a set's arrays."""
     lead, size = (settings.scenes, settings.views), settings.size
+    depth = {"depth": ((*lead, size, size), np.dtype(np.uint16))} if settings.depth else {}
     return {
         "images": ((*lead, size, size, 3), np.dtype(np.uint8)),
         "masks": ((*lead, size, size), np.dtype(np.uint8)),
         "intrinsics": ((*lead, 3, 3), np.dtype(np.float32)),
         "T_world_camera": ((*lead, 4, 4), np.dtype(np.float32)),
+        **depth,
     }
 
 
@@ -66,7 +69,15 @@ class PackedWriter:
         complete = _complete(self.folder)
         return [index for index in range(self.settings.scenes) if index not in complete]
 
-    def write(self, index: int, images: np.ndarray, masks: np.ndarray, camera: Camera, truth: Truth) -> None:
+    def write(
+        self,
+        index: int,
+        images: np.ndarray,
+        masks: np.ndarray,
+        camera: Camera,
+        truth: Truth,
+        depth: np.ndarray | None = None,
+    ) -> None:
         """Writes scene `index` and marks it complete.
 
         Args:
@@ -75,12 +86,14 @@ class PackedWriter:
             masks: `[V, H, W]` uint8, 0 where there is no object and i + 1 on object i.
             camera: batch shape `[V]`.
             truth: what the scene is made of.
+            depth: `[V, H, W]` along the optical axis in metres, infinite where there is none; for sets that keep it.
 
         Raises:
             UserError: it cannot be written.
         """
-        values = (images, masks, camera.intrinsics.numpy(), camera.T_world_camera.numpy())
-        for name, value in zip(ARRAYS, values, strict=True):
+        values = [images, masks, camera.intrinsics.numpy(), camera.T_world_camera.numpy()]
+        values += [] if depth is None else [_depth_to_units(depth)]
+        for name, value in zip(array_layout(self.settings), values, strict=True):
             array = _open_array(self.folder, name, self.settings, "r+")
             array[index] = value
             array.flush()
@@ -102,7 +115,8 @@ class PackedWriter:
 
     def _withdraw(self) -> None:
         """Leaves the folder as empty as it was: a set that has no room is not begun."""
-        for path in (*(_array_path(self.folder, name) for name in ARRAYS), self.folder / "scenes"):
+        arrays = [_array_path(self.folder, name) for name in array_layout(self.settings)]
+        for path in (*arrays, self.folder / "scenes"):
             remove(path)
         remove(self.folder / SET_FILE)
 
@@ -125,6 +139,8 @@ class PackedScenes:
     """`[N, V, 3, 3]` float32, pixels."""
     T_world_camera: np.memmap
     """`[N, V, 4, 4]` float32, OpenCV axes, metres."""
+    depth: np.memmap | None = None
+    """`[N, V, H, W]` uint16 in units of `DEPTH_UNIT`, 0 for none; None in a set that keeps no depth."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
@@ -134,7 +150,7 @@ class PackedScenes:
         absent = self.settings.scenes - len(_complete(self.folder))
         if absent > 0:
             raise UserError(f"{self.folder} is not complete: {absent} of {self.settings.scenes} scenes are missing")
-        for name in ARRAYS:
+        for name in array_layout(self.settings):
             setattr(self, name, _open_array(self.folder, name, self.settings, "r"))
 
     def __len__(self) -> int:
@@ -168,6 +184,17 @@ class PackedScenes:
         """Returns `[n, H, W]` uint8: 0 where there is no object, i + 1 on object i."""
         return self.masks[index][views]
 
+    def read_depth(self, index: int, views: np.ndarray) -> np.ndarray:
+        """Returns `[n, H, W]` float32: metres along the optical axis, infinite where there is none.
+
+        Raises:
+            UserError: the set keeps no depth.
+        """
+        if self.depth is None:
+            raise UserError(f"{self.folder} keeps no depth: generate it with --depth true")
+        units = self.depth[index][views]
+        return np.where(units > 0, units * np.float32(DEPTH_UNIT), np.float32(np.inf))
+
     def scene(self, index: int) -> Scene:
         """Returns scene `index` with all its views, named by its number."""
         images = torch.from_numpy(np.array(self.images[index])).movedim(-1, -3) / 255
@@ -181,6 +208,11 @@ def _array_path(folder: Path, name: str) -> Path:
 
 def _scene_path(folder: Path, index: int) -> Path:
     return folder / "scenes" / f"{index:06d}.json"
+
+
+def _depth_to_units(depth: np.ndarray) -> np.ndarray:
+    units = np.round(depth / DEPTH_UNIT)
+    return np.where(units <= np.iinfo(np.uint16).max, units, 0).astype(np.uint16)
 
 
 def _read_truth(folder: Path, index: int) -> Truth:

@@ -34,6 +34,8 @@ class SetSettings:
     """`packed` (arrays) or `folders` (one scene folder each)."""
     catalogue: str = ""
     """Hash of the catalogue that the objects come from; empty where they are prisms."""
+    depth: bool = False
+    """Whether the images' depth is kept."""
 
 
 def claim_folder(folder: Path, settings: SetSettings, workspace: Workspace) -> bool:
@@ -69,7 +71,8 @@ def read_settings(folder: Path) -> tuple[SetSettings, Workspace]:
     data = read_json(path)
     if data.get("version") != FORMAT_VERSION:
         raise UserError(f"{path}: format version {data.get('version')!r}, this program reads {FORMAT_VERSION}")
-    data.setdefault("catalogue", "")  # sets of prisms may be older than catalogues
+    for newer in ("catalogue", "depth"):  # sets may be older than these
+        data.setdefault(newer, getattr(SetSettings, newer))
     for field in fields(SetSettings):
         if type(data.get(field.name)) is not field.type:
             raise UserError(f"{path}: {field.name!r} is missing or wrong")

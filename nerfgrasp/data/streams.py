@@ -35,6 +35,8 @@ class SceneSet:
     """The images' side in pixels."""
     demonstrations: bool = False
     """Whether each scene has a demonstrated grasp."""
+    depth: bool = False
+    """Whether the images' depth is kept, for the methods that need it."""
 
     def open(self) -> "PackedScenes":
         """Opens the set.

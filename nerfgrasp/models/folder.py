@@ -15,24 +15,20 @@ from torch import nn
 
 from nerfgrasp.errors import UserError, unknown_name
 from nerfgrasp.files import make_folder, read_json, replacing
-from nerfgrasp.models.grasp_value import GraspValue, GraspValueConfig
-from nerfgrasp.models.mvnerf import MVNeRF, MVNeRFConfig
+from nerfgrasp.models.grasp_value import GraspValue
+from nerfgrasp.models.mvnerf import MVNeRF
+from nerfgrasp.models.stored import StoredModule
 
 DEFAULT_MODEL = "mv3-laptop"
 """The shipped model that `nerfgrasp optimize` uses if no other is named."""
 
 _CONFIG, _WEIGHTS = "config.json", "model.safetensors"
-_KINDS: dict[str, tuple[type[MVNeRF | GraspValue], type[Any]]] = {
-    "grasp_value": (GraspValue, GraspValueConfig),
-    "mvnerf": (MVNeRF, MVNeRFConfig),
-}
-_METHOD = "psi"
-"""The registered name of the method that a `grasp_value` folder serves."""
 
 Config = TypeVar("Config")
+Stored = TypeVar("Stored", bound=StoredModule)
 
 
-def save_model(folder: Path, model: MVNeRF | GraspValue, *, dtype: torch.dtype | None = None) -> None:
+def save_model(folder: Path, model: StoredModule, *, dtype: torch.dtype | None = None) -> None:
     """Writes a model folder; a model that is there already stays until all of the new one is written.
 
     Args:
@@ -43,10 +39,9 @@ def save_model(folder: Path, model: MVNeRF | GraspValue, *, dtype: torch.dtype |
     Raises:
         UserError: the folder cannot be written.
     """
-    kind = next(name for name, (module, _) in _KINDS.items() if type(model) is module)
-    header: dict[str, Any] = {"format": 1, "kind": kind}
-    if kind == "grasp_value":
-        header["method"] = _METHOD
+    header: dict[str, Any] = {"format": 1, "kind": model.kind}
+    if model.method is not None:
+        header["method"] = model.method
     config = {**header, "config": asdict(model.config)}
     state = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state_dict().items()}
     if dtype is not None:
@@ -58,22 +53,31 @@ def save_model(folder: Path, model: MVNeRF | GraspValue, *, dtype: torch.dtype |
 
 
 def load_model(name: str | Path) -> MVNeRF | GraspValue:
-    """Reads a model, in evaluation mode, on the CPU, in float32.
+    """Reads a scene model or a grasp value; argument and errors as `load_stored`'s."""
+    model = load_stored(name, GraspValue, MVNeRF)
+    assert isinstance(model, GraspValue | MVNeRF)
+    return model
+
+
+def load_stored(name: str | Path, *modules: type[Stored]) -> Stored:
+    """Reads a model of one of these classes, in evaluation mode, on the CPU, in float32.
 
     Args:
         name: a folder, a shipped model's name, or a Hugging Face repository id.
+        modules: what it may be; a plug-in gives its own.
 
     Raises:
-        UserError: there is no such model, or a file of it is missing, truncated or of another shape.
+        UserError: there is no such model, it is of none of the classes, or a file of it is missing, truncated or of
+            another shape.
     """
     folder = find_model(str(name))
     config = read_json(folder / _CONFIG)
-    kind, plain = config.get("kind"), config.get("config")
-    if kind not in _KINDS or not isinstance(plain, dict):
-        raise UserError(f"{folder / _CONFIG}: no model of a known kind ({', '.join(sorted(_KINDS))})")
-    module, config_class = _KINDS[kind]
+    plain, kinds = config.get("config"), {module.kind: module for module in modules}
+    if config.get("kind") not in kinds or not isinstance(plain, dict):
+        raise UserError(f"{folder / _CONFIG}: no model of a known kind ({', '.join(sorted(kinds))})")
+    module = kinds[config["kind"]]
     try:
-        model = module(from_plain(config_class, _without_pretrained(plain)))
+        model = module(from_plain(module.config_class, _without_pretrained(plain)))
     except (UserError, TypeError, ValueError, RuntimeError) as error:
         raise UserError(f"{folder / _CONFIG}: {error}") from error
     _load_weights(model, folder / _WEIGHTS)

@@ -10,6 +10,7 @@ from torch.nn.functional import elu
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import Camera
 from nerfgrasp.models.mvnerf import MVNeRF, MVNeRFConfig, SceneFeatures
+from nerfgrasp.models.stored import StoredModule
 from nerfgrasp.scenes.scene import Observations, Workspace
 
 
@@ -35,12 +36,16 @@ class GraspValueConfig:
     """Whether the backbone has learned to render: if not, its density says nothing, and no search is to heed it."""
 
 
-class GraspValue(nn.Module):
+class GraspValue(StoredModule):
     """The grasp value: a small readout on an MVNeRF.
 
     Source: the paper, section III-B, and its supplementary diagrams.
     """
 
+    kind = "grasp_value"
+    config_class = GraspValueConfig
+    method = "psi"
+    config: GraspValueConfig
     rays: Tensor
     steps: Tensor
     orders: Tensor

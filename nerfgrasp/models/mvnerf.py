@@ -4,12 +4,13 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from nerfgrasp.geometry import Camera, box_intersection, crop_to_box
 from nerfgrasp.models.encoder import Encoder, EncoderConfig
 from nerfgrasp.models.field import Field, FieldConfig, ViewMaps
 from nerfgrasp.models.rendering import Rendering, importance, render_rays, stratified
+from nerfgrasp.models.stored import StoredModule
 from nerfgrasp.scenes.scene import Workspace
 
 
@@ -59,11 +60,15 @@ class RayRenderings(NamedTuple):
     """By the fine field."""
 
 
-class MVNeRF(nn.Module):
+class MVNeRF(StoredModule):
     """Multi-view VisionNeRF.
 
     Source: the paper, section III-A, its supplementary diagrams, and VisionNeRF (Lin et al. 2023).
     """
+
+    kind = "mvnerf"
+    config_class = MVNeRFConfig
+    config: MVNeRFConfig
 
     def __init__(self, config: MVNeRFConfig) -> None:
         super().__init__()

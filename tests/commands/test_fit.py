@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from lightning.pytorch.demos.boring_classes import BoringModel
 from safetensors import safe_open
 
 from nerfgrasp import cli
@@ -367,8 +368,13 @@ def test_missing_sets_are_made_before_training(
     sets = [json.dumps(set_entry(tmp_path / name, scenes=2, views=4)) for name in ("new", "new-held-out")]
     args = ["--data.init_args.train", sets[0], "--data.init_args.validation", sets[1]]
     assert cli.main(["fit", "--config", str(config), *args]) == 0
-    settings = {"scenes": 2, "views": 4, "seed": 5, "size": 32, "demonstrations": False}
+    settings = {"scenes": 2, "views": 4, "seed": 5, "size": 32, "demonstrations": False, "depth": False}
     assert made == [("simple", "new", settings), ("simple", "new-held-out", settings)]
+
+
+def test_a_network_that_no_model_folder_can_hold_is_refused_before_it_is_trained() -> None:
+    with pytest.raises(UserError, match="model: BoringModel has no `network` that a model folder can hold"):
+        fit._check_inputs(BoringModel(), None)
 
 
 def test_an_interrupt_ends_with_status_130(config: Path, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:

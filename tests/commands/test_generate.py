@@ -114,6 +114,19 @@ def test_demonstrations_change_no_image(unbroken: Path, tmp_path: Path, capsys: 
     assert f"{found.count(None)} without a demonstrated grasp" in capsys.readouterr().out
 
 
+def test_depth_changes_nothing_else(unbroken: Path, tmp_path: Path) -> None:
+    generate(**{**SMALL, "scenes": 2}, out=tmp_path / "set", workers=1, depth=True)
+    scenes, without = PackedScenes(tmp_path / "set"), PackedScenes(unbroken)
+    for name in ("images", "masks", "intrinsics", "T_world_camera"):
+        assert getattr(scenes, name).tobytes() == getattr(without, name)[:2].tobytes()
+    for truth in ("scenes/000000.json", "scenes/000001.json"):
+        assert (tmp_path / "set" / truth).read_bytes() == (unbroken / truth).read_bytes()
+    # What an object covers is nearer than the table behind it, and the table lies 0.8 m away.
+    depth, masks = scenes.read_depth(1, np.arange(3)), scenes.masks[1]
+    assert 0.7 < np.median(depth[masks == 0]) < 1.1
+    assert 0.4 < depth[masks > 0].min() < depth[masks > 0].max() < 1.2
+
+
 def test_folders(unbroken: Path, tmp_path: Path) -> None:
     generate(**{**SMALL, "scenes": 2}, out=tmp_path / "set", workers=1, format="folders")
     scene, same = read_scene(tmp_path / "set" / "000001"), PackedScenes(unbroken).scene(1)
@@ -149,6 +162,7 @@ def test_other_settings_are_refused(unbroken: Path) -> None:
         ({"workers": 0}, "workers is 0"),
         ({"task": "simpel"}, "unknown task 'simpel': did you mean 'simple'"),
         ({"format": "packd"}, "unknown format 'packd': did you mean 'packed'"),
+        ({"format": "folders", "depth": True}, "depth is kept in packed sets alone, not in folders"),
     ],
 )
 def test_bad_values_are_refused_and_nothing_is_written(tmp_path: Path, change: dict[str, Any], message: str) -> None:

@@ -74,6 +74,32 @@ def test_scene(tmp_path: Path) -> None:
     assert scene.truth.index == 1
 
 
+def test_depth_comes_back_to_the_tenth_of_a_millimetre(tmp_path: Path) -> None:
+    depth = np.random.default_rng(0).uniform(0.3, 6.0, (3, 16, 16)).astype(np.float32)
+    depth[0, 0, :2] = np.inf, 7.0
+    writer = PackedWriter(tmp_path / "set", replace(SETTINGS, depth=True))
+    writer.prepare(Workspace())
+    for index in range(2):
+        writer.write(index, *slot(index), depth)
+    scenes = PackedScenes(tmp_path / "set")
+    back = scenes.read_depth(1, np.array([0, 2]))
+    assert back.dtype == np.float32
+    assert np.isinf(back[0, 0, :2]).all()
+    np.testing.assert_allclose(back[1], depth[2], atol=5.1e-5, rtol=0)
+    assert scenes.depth is not None
+    assert scenes.depth[0, 1, 2, 3] == round(float(depth[1, 2, 3]) * 10_000)
+
+
+def test_a_set_without_depth_has_none_to_give(tmp_path: Path) -> None:
+    folder = packed(tmp_path / "set")
+    with pytest.raises(UserError, match="set keeps no depth: generate it with --depth true"):
+        PackedScenes(folder).read_depth(0, np.array([0]))
+    settings = json.loads((folder / "set.json").read_text())
+    assert settings.pop("depth") is False
+    (folder / "set.json").write_text(json.dumps(settings))
+    assert PackedScenes(folder).settings == SETTINGS, "sets may be older than depth"
+
+
 def test_scene_outside_is_an_index_error(tmp_path: Path) -> None:
     scenes = PackedScenes(packed(tmp_path / "set"))
     with pytest.raises(IndexError):
@@ -137,6 +163,7 @@ def test_what_a_killed_run_left_goes(tmp_path: Path) -> None:
         ({"scenes": 3}, "scenes 2, asked for 3"),
         ({"physics": "abd", "size": 32}, "size 16, asked for 32; physics 'abc', asked for 'abd'"),
         ({"format": "folders"}, "format 'packed', asked for 'folders'"),
+        ({"depth": True}, "depth False, asked for True"),
     ],
 )
 def test_another_set_in_the_folder_is_refused(tmp_path: Path, change: dict[str, object], message: str) -> None:
