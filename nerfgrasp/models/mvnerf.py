@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from nerfgrasp.geometry import Camera, box_intersection, crop_to_box
 from nerfgrasp.models.encoder import Encoder, EncoderConfig

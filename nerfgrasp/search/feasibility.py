@@ -10,8 +10,8 @@ from nerfgrasp.models.mvnerf import SceneFeatures
 from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Gripper
 from nerfgrasp.scenes.scene import Workspace
 
-_SAMPLES = 20
-"""Points on each line, so far apart that no object falls between two."""
+_WAY_SAMPLES, _GAP_SAMPLES = 12, 40
+"""Pieces of a line: on the hand's way so that no object falls between two, in the gap enough to see faces slant."""
 _TABLE = 0.001
 """Metres above the table below which density is the table's own."""
 _LEAST = 1e-3
@@ -20,20 +20,26 @@ _LEAST = 1e-3
 
 @dataclass(frozen=True)
 class Feasibility:
-    """Weighs grasps by the opacity of lines through the open gripper, in a grasp's own frame.
+    """Weighs grasps by what lines through the open gripper meet, in a grasp's own frame.
 
     Ψ is learned from single grasps and never told what the hand consists of; the field that it reads was trained to
     render, and a line through it has an opacity: the probability that it meets something. The fingers' and the palm's
-    way of the last `reach` should meet nothing, lines from pad to pad should. Each of the three probabilities counts
-    as `weight` times its logarithm, in Ψ's unit.
+    way of the last `reach` should meet nothing, lines from pad to pad should: each probability counts by its logarithm.
+    Where these lines end, seen from either pad, is the face that the pad will touch; it should not slant.
+
+    The weights are in Ψ's unit; docs/results.md tells how they were chosen.
     """
 
     gripper: Gripper = ROBOTIQ_2F85
     """Whose shape counts."""
     reach: float = 0.06
     """Metres along the approach."""
-    weight: float = 3.0
-    """How much one probability, e-fold smaller, takes from a grasp's value."""
+    free: float = 3.0
+    """How much a way that is e-fold less likely free takes from a grasp's value; for the fingers and for the palm."""
+    gap: float = 10.0
+    """How much a gap that is e-fold less likely filled takes."""
+    slant: float = 5.5
+    """How much each of the two faces takes at a slant of 45° across the pad."""
 
     @torch.no_grad()
     def __call__(self, model: GraspValue, features: SceneFeatures, T_world_grasp: Tensor, box: Workspace) -> Tensor:
@@ -46,11 +52,18 @@ class Feasibility:
             box: the workspace; its lower face is the table, outside of it nothing counts.
         """
         fingers, palm, gap = (
-            self._opacity(model, features, T_world_grasp, box, *lines)
-            for lines in (self.finger_lines(), self.palm_lines(), self.gap_lines())
+            self._optical_depths(model, features, T_world_grasp, box, *lines, samples)
+            for lines, samples in (
+                (self.finger_lines(), _WAY_SAMPLES),
+                (self.palm_lines(), _WAY_SAMPLES),
+                (self.gap_lines(), _GAP_SAMPLES),
+            )
         )
-        chances = torch.stack([1 - fingers.amax(dim=1), 1 - palm.amax(dim=1), gap.mean(dim=1)])
-        return self.weight * chances.clamp(min=_LEAST).log().sum(dim=0)
+        free = [1 - opacity(ways).amax(dim=1) for ways in (fingers, palm)]
+        filled = opacity(gap)
+        chances = [self.free * _log(chance) for chance in free] + [self.gap * _log(filled.mean(dim=1))]
+        slants = sum(self._slant(side, filled).abs() for side in (gap, gap.flip(-1)))
+        return torch.stack(chances).sum(dim=0) - self.slant * slants
 
     def finger_lines(self) -> tuple[Tensor, Tensor]:
         """Returns the lines `[L, 3]` (start, vector) that points of the open fingertips draw on their way."""
@@ -66,21 +79,51 @@ class Feasibility:
         return self._ways([(a * x, b * y, self.gripper.palm) for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0)])
 
     def gap_lines(self) -> tuple[Tensor, Tensor]:
-        """Returns the lines `[L, 3]` (start, vector) from pad to pad."""
+        """Returns the lines `[9, 3]` (start, vector) from pad to pad: three by three, across the pad and along it."""
         fingers = self.gripper.fingers
-        y, z = 0.36 * fingers.pad_width, 0.32 * fingers.pad_height
-        starts = [(-fingers.stroke / 2, a * y, b * z) for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0)]
+        z = 0.32 * fingers.pad_height
+        starts = [(-fingers.stroke / 2, a * self._across, b * z) for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0)]
         return torch.tensor(starts), torch.tensor([[fingers.stroke, 0.0, 0.0]]).repeat(len(starts), 1)
+
+    @property
+    def _across(self) -> float:
+        """Metres between neighbouring lines across a pad."""
+        return 0.36 * self.gripper.fingers.pad_width
+
+    def _slant(self, gap: Tensor, filled: Tensor) -> Tensor:
+        """Returns the slopes `[P]`, tangents, of the faces that one pad meets: a line fitted through what is there.
+
+        Args:
+            gap: optical depths `[P, 9, S]` of the lines that begin at that pad.
+            filled: their opacities `[P, 9]`, which weigh them.
+        """
+        step = self.gripper.fingers.stroke / gap.shape[-1]
+        depth = (meeting(gap) * step).unflatten(1, (3, 3))
+        weight = filled.unflatten(1, (3, 3))
+        across = self._across * torch.tensor([[-1.0], [0.0], [1.0]]).to(gap)
+        total = weight.sum(dim=(1, 2), keepdim=True) + 1e-6
+        across = across - (weight * across).sum(dim=(1, 2), keepdim=True) / total
+        depth = depth - (weight * depth).sum(dim=(1, 2), keepdim=True) / total
+        # Where only one row of lines meets anything there is no slope: the second term lets it vanish.
+        spread = (weight * across.square()).sum(dim=(1, 2)) + 0.3 * self._across**2
+        return (weight * across * depth).sum(dim=(1, 2)) / spread
 
     def _ways(self, ends: list[tuple[float, float, float]]) -> tuple[Tensor, Tensor]:
         way = torch.tensor([0.0, 0.0, self.reach])
         return torch.tensor(ends) - way, way.repeat(len(ends), 1)
 
-    def _opacity(
-        self, model: GraspValue, features: SceneFeatures, T: Tensor, box: Workspace, start: Tensor, vector: Tensor
+    def _optical_depths(
+        self,
+        model: GraspValue,
+        features: SceneFeatures,
+        T: Tensor,
+        box: Workspace,
+        start: Tensor,
+        vector: Tensor,
+        samples: int,
     ) -> Tensor:
-        """Returns the opacities `[P, L]` of lines of every grasp's frame."""
-        share = (torch.arange(_SAMPLES, device=T.device) + 0.5) / _SAMPLES
+        """Returns the optical depths `[P, L, S]` of the pieces of lines in every grasp's frame."""
+        share = (torch.arange(samples, device=T.device) + 0.5) / samples
         points = start.to(T)[:, None] + share[:, None] * vector.to(T)[:, None]
         world = (T[:, None, None, :3, :3] @ points[..., None])[..., 0] + T[:, None, None, :3, 3]
         length = vector.to(T).norm(dim=-1)
@@ -88,4 +131,21 @@ class Feasibility:
         density = model.density(features, world.flatten(0, 1), directions.flatten(0, 1)).view(world.shape[:-1])
         low, high = box.minimum.to(T), box.maximum.to(T)
         counts = ((world >= low + torch.tensor([0.0, 0.0, _TABLE]).to(T)) & (world <= high)).all(dim=-1)
-        return 1 - torch.exp(-(density * counts).mean(dim=-1) * length)
+        return density * counts * (length / samples)[:, None]
+
+
+def opacity(optical_depth: Tensor) -> Tensor:
+    """Returns the opacity `[...]`, 1 − exp(−Σ τ), of lines whose pieces have optical depths τ `[..., S]`."""
+    return -torch.expm1(-optical_depth.sum(dim=-1))
+
+
+def meeting(optical_depth: Tensor) -> Tensor:
+    """Returns after how many pieces `[...]` lines of optical depths `[..., S]` meet something, if they do: the mean."""
+    after = optical_depth.cumsum(dim=-1)
+    weights = torch.exp(optical_depth - after) - torch.exp(-after)
+    middles = torch.arange(optical_depth.shape[-1], device=optical_depth.device) + 0.5
+    return (weights * middles).sum(dim=-1) / (weights.sum(dim=-1) + 1e-6)
+
+
+def _log(chance: Tensor) -> Tensor:
+    return chance.clamp(min=_LEAST).log()

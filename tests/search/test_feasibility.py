@@ -12,7 +12,7 @@ from nerfgrasp.geometry import make_pose
 from nerfgrasp.models.grasp_value import GraspValue
 from nerfgrasp.models.mvnerf import SceneFeatures
 from nerfgrasp.scenes.scene import Workspace
-from nerfgrasp.search.feasibility import Feasibility
+from nerfgrasp.search.feasibility import Feasibility, meeting, opacity
 
 WORKSPACE = Workspace()
 NOTHING = cast(SceneFeatures, None)
@@ -35,7 +35,8 @@ BAR = ((-0.02, -0.04, 0.0), (0.02, 0.04, 0.06))
 
 
 def weigh(field: Boxes, T: Tensor, **changes: Any) -> float:
-    return Feasibility(weight=1.0, **changes)(cast(GraspValue, field), NOTHING, T[None], WORKSPACE).item()
+    weights = {"free": 1.0, "gap": 1.0, "slant": 0.0, **changes}
+    return Feasibility(**weights)(cast(GraspValue, field), NOTHING, T[None], WORKSPACE).item()
 
 
 def top_down(x: float = 0.0, y: float = 0.0, z: float = 0.045, yaw: float = 0.0) -> Tensor:
@@ -84,9 +85,39 @@ def test_neither_the_table_nor_what_is_outside_of_the_workspace_counts():
     assert weigh(Boxes(shifted, outside), top_down(x=0.22)) == pytest.approx(0.0, abs=0.01)
 
 
-def test_weight_scales():
-    field = Boxes(BAR)
-    one, three = (
-        Feasibility(weight=w)(cast(GraspValue, field), NOTHING, top_down(y=0.1)[None], WORKSPACE) for w in (1, 3)
-    )
-    torch.testing.assert_close(3 * one, three)
+def test_faces_that_slant_across_the_pads_cost_their_slope() -> None:
+    gap = torch.zeros(1, 3, 3, 40)
+    for row, piece in enumerate((8, 11, 14)):  # across the pad, each row meets a wall three pieces farther
+        gap[0, row, :, piece:] = 50.0
+    feasibility = Feasibility()
+    step, across = 0.085 / 40, 0.36 * feasibility.gripper.fingers.pad_width
+    found = feasibility._slant(gap.flatten(1, 2), torch.ones(1, 9))
+    # The fit gives way a little where few lines meet anything: of nine, all on the wall, by a factor 6 / 6.3.
+    assert found.item() == pytest.approx(6 / 6.3 * 3 * step / across, rel=1e-3)
+
+
+def test_a_bar_that_lies_askew_costs_more() -> None:
+    aligned, askew = (weigh(Boxes(BAR), top_down(yaw=yaw), free=0.0, gap=0.0, slant=1.0) for yaw in (0.0, 0.35))
+    assert aligned == pytest.approx(0.0, abs=1e-3)
+    assert askew == pytest.approx(-2 * math.tan(0.35), abs=0.25)  # pieces of 2 mm, and walls without a gradient
+
+
+def test_nothing_has_no_slope() -> None:
+    assert weigh(
+        Boxes(((0.2, 0.2, 0.0), (0.21, 0.21, 0.01))), top_down(), free=0.0, gap=0.0, slant=1.0
+    ) == pytest.approx(0.0, abs=1e-5)
+
+
+def test_where_a_line_meets_something() -> None:
+    depths = torch.tensor([[0.0, 0.0, 50.0, 50.0], [50.0, 0.0, 0.0, 0.0], [0.0, math.log(2.0), 0.0, 50.0]])
+    torch.testing.assert_close(meeting(depths), torch.tensor([2.5, 0.5, 2.5]), atol=1e-4, rtol=0)
+    torch.testing.assert_close(opacity(depths[:, :2]), torch.tensor([0.0, 1.0, 0.5]), atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("weight", ["free", "gap", "slant"])
+def test_weights_scale(weight: str) -> None:
+    field, T = Boxes(BAR), top_down(x=0.03, y=0.03, z=0.06, yaw=0.3)
+    only = {"free": 0.0, "gap": 0.0, "slant": 0.0}
+    one, three = (weigh(field, T, **{**only, weight: w}) for w in (1.0, 3.0))
+    assert one < -0.01
+    assert three == pytest.approx(3 * one)
