@@ -6,7 +6,7 @@ import pytest
 import torch
 import yaml
 
-from nerfgrasp.commands.configs import find_config
+from nerfgrasp.commands.configs import find_config, laid_over
 from nerfgrasp.geometry import Camera
 from nerfgrasp.models import MVNeRF, MVNeRFConfig
 from nerfgrasp.models.folder import from_plain
@@ -53,6 +53,17 @@ def test_another_transformer_by_name(vit: str, width: int) -> None:
     with torch.device("meta"):
         assert network.encoder(torch.zeros(1, 3, 480, 480)).shape == (1, 256, 480, 480)
     assert (count(network.coarse), count(network.fine)) == (COUNTS["coarse"], COUNTS["fine"])
+
+
+@pytest.mark.parametrize("scale", ["laptop", "workstation"])
+@pytest.mark.parametrize(("name", "views"), [("mv1.yaml", 1), ("mv3.yaml", 3)])
+def test_the_smaller_networks_fit_into_15_megabytes(scale: str, name: str, views: int) -> None:
+    below, above = (read(config)["model"].get("init_args", {}) for config in (name, f"{scale}/{name}"))
+    network = laid_over(below.get("network", {}), above["network"])
+    with torch.device("meta"):
+        model = MVNeRF(from_plain(MVNeRFConfig, network))
+    assert model.config.views == views
+    assert 2 * count(model) < 15e6  # in float16
 
 
 @pytest.mark.parametrize("scale", ["", "laptop/"])

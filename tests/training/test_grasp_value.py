@@ -13,7 +13,6 @@ from nerfgrasp.data.streams import SceneSet
 from nerfgrasp.errors import UserError
 from nerfgrasp.models import GraspValue, GraspValueConfig, MVNeRF
 from nerfgrasp.models.folder import save_model, weights_hash
-from nerfgrasp.search.psi import Psi
 from nerfgrasp.training import GraspValueTraining, MVNeRFTraining
 from nerfgrasp.training.grasp_value import grasp_loss
 
@@ -175,9 +174,9 @@ def test_from_scratch_and_on_a_backbone_do_not_resume_each_other(
         fit(modules["frozen"](), data(), 2, tmp_path / "scratch.ckpt")
 
 
-def test_what_never_learned_to_render_does_not_judge_feasibility(backbone: Path, tiny_network) -> None:
-    assert Psi(training(backbone).network).feasibility is not None
-    assert Psi(from_scratch(tiny_network()).network).feasibility is None
+def test_what_never_learned_to_render_says_so(backbone: Path, tiny_network) -> None:
+    assert training(backbone).network.config.renders
+    assert not from_scratch(tiny_network()).network.config.renders
 
 
 def test_a_backbone_or_a_shape_must_be_given(backbone: Path, tiny_network) -> None:
