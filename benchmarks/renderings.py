@@ -18,6 +18,7 @@ from nerfgrasp.commands.render import load_backbone
 from nerfgrasp.files import replacing
 from nerfgrasp.models.folder import DEFAULT_MODEL
 from nerfgrasp.models.scores import image_scores
+from nerfgrasp.scenes.images import IMAGE_SIZE
 from nerfgrasp.scenes.scene import Observations
 from nerfgrasp.sim.rendering import render_scene
 from nerfgrasp.sim.tasks import TASKS, find_task, scene_cameras, workspace
@@ -38,7 +39,7 @@ def main(
     seed: int = 7,
     scene: int = 0,
     view: int = INPUTS,
-    size: int = 128,
+    size: int = IMAGE_SIZE,
     out: Path = Path("docs/renderings.png"),
 ) -> None:
     """Draws the picture.

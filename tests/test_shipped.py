@@ -7,15 +7,18 @@ from pathlib import Path
 import pytest
 
 from nerfgrasp.cli import main
-from nerfgrasp.models.folder import DEFAULT_MODEL, find_model
+from nerfgrasp.models import GraspValue
+from nerfgrasp.models.folder import DEFAULT_MODEL, find_model, load_model
 from nerfgrasp.scenes.folder import read_scene
 from nerfgrasp.scenes.shipped import find_scene
 
 
-def test_the_default_model_is_small() -> None:
-    folder = find_model(DEFAULT_MODEL)
+@pytest.mark.parametrize("model", [DEFAULT_MODEL, "mv1-laptop"])
+def test_the_shipped_models_are_small(model: str) -> None:
+    folder = find_model(model)
     assert sum(path.stat().st_size for path in folder.iterdir()) < 8e6
     assert (folder / "README.md").is_file()
+    assert isinstance(load_model(model), GraspValue)
 
 
 def test_the_demo_scene_is_drawn_from_a_seed_of_no_training_set() -> None:
