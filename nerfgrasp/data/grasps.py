@@ -1,7 +1,7 @@
 """Batches for training Ψ: a scene's demonstrated grasp among poses that are most likely none."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import roma
@@ -59,7 +59,63 @@ class GraspBatch(NamedTuple):
     """`[B, P, 4, 4]`: the demonstrated grasp first, then the negatives."""
 
 
-class GraspData(StepDataModule):
+class DemonstrationData(StepDataModule):
+    """Batches of scenes with one demonstrated grasp each, from packed sets; subclasses say what is drawn of a scene."""
+
+    keeps: ClassVar[tuple[str, ...]] = ("demonstrations",)
+    """What a set must keep to be learned from."""
+    train_set: SceneSet
+    validation_set: SceneSet
+    views: int
+    """Input views a scene."""
+    scenes_per_step: int
+    """Scenes in a batch."""
+    random_views: bool
+    """Whether a step takes random views of a scene as input, or always its first ones."""
+
+    def check(self, stage: str = "fit") -> None:
+        """See `StepDataModule`."""
+        super().check(stage)
+        for name, scenes in (("train", self.train_set), ("validation", self.validation_set)):
+            for kept in self.keeps:
+                if not getattr(scenes, kept):
+                    raise UserError(f"data.init_args.{name}: {kept} is false: that is what is learned from")
+            check_enough(f"data.init_args.{name}", "views", self.views, scenes.views)
+
+    def setup(self, stage: str) -> None:
+        """Opens the sets.
+
+        Raises:
+            UserError: one is missing or damaged, or too few scenes have a demonstrated grasp.
+        """
+        self.train_scenes = self.train_set.open() if stage == "fit" else None
+        self.train_grasps = self.grasps_of(self.train_scenes) if self.train_scenes is not None else {}
+        if self.train_scenes is not None:
+            what = "scenes with a demonstrated grasp"
+            check_enough(str(self.train_set.folder), what, self.scenes_per_step, len(self.train_grasps))
+        self.held_out = self.validation_set.open()
+
+    def grasps_of(self, scenes: PackedScenes) -> dict[int, Tensor]:
+        """Returns the demonstrated grasps `[4, 4]` by scene number."""
+        return demonstrations(scenes)
+
+    def draw(self, generator: np.random.Generator) -> Any:
+        """Returns one training batch."""
+        assert self.train_scenes is not None
+        chosen = generator.choice(sorted(self.train_grasps), self.scenes_per_step, replace=False)
+        return default_collate([self.draw_scene(self.train_scenes, int(scene), generator) for scene in chosen])
+
+    def draw_scene(self, scenes: PackedScenes, scene: int, generator: np.random.Generator) -> Any:
+        """Returns one scene of a batch."""
+        raise NotImplementedError
+
+    def draw_views(self, scenes: PackedScenes, generator: np.random.Generator) -> np.ndarray:
+        """Returns the numbers `[V]` of a scene's input views."""
+        every = np.arange(scenes.settings.views)
+        return (generator.permutation(every) if self.random_views else every)[: self.views]
+
+
+class GraspData(DemonstrationData):
     """Demonstrated grasps and negatives from packed sets.
 
     Args:
@@ -72,9 +128,6 @@ class GraspData(StepDataModule):
         seed: of all draws.
         workers: processes that draw batches, 0 or 1.
     """
-
-    train_set: SceneSet
-    validation_set: SceneSet
 
     def __init__(
         self,
@@ -93,40 +146,10 @@ class GraspData(StepDataModule):
         self.negatives, self.random_views = negatives, random_views
         self.seed, self.workers = seed, workers
 
-    def check(self, stage: str = "fit") -> None:
-        """See `StepDataModule`."""
-        super().check(stage)
-        for name, scenes in (("train", self.train_set), ("validation", self.validation_set)):
-            if not scenes.demonstrations:
-                raise UserError(f"data.init_args.{name}: demonstrations is false: a grasp value learns from them")
-            check_enough(f"data.init_args.{name}", "views", self.views, scenes.views)
-
-    def setup(self, stage: str) -> None:
-        """Opens the sets.
-
-        Raises:
-            UserError: one is missing or damaged, or too few scenes have a demonstrated grasp.
-        """
-        self.train_scenes = self.train_set.open() if stage == "fit" else None
-        self.train_grasps = demonstrations(self.train_scenes) if self.train_scenes is not None else {}
-        if self.train_scenes is not None:
-            what = "scenes with a demonstrated grasp"
-            check_enough(str(self.train_set.folder), what, self.scenes_per_step, len(self.train_grasps))
-        self.held_out = self.validation_set.open()
-
-    def draw(self, generator: np.random.Generator) -> GraspBatch:
-        """Returns one training batch."""
-        assert self.train_scenes is not None
-        chosen = generator.choice(sorted(self.train_grasps), self.scenes_per_step, replace=False)
-        drawn = [self._draw_scene(int(scene), generator) for scene in chosen]
-        batch: GraspBatch = default_collate(drawn)
-        return batch
-
-    def _draw_scene(self, scene: int, generator: np.random.Generator) -> GraspBatch:
-        assert self.train_scenes is not None
-        all_views = np.arange(self.train_scenes.images.shape[1])
-        view = (generator.permutation(all_views) if self.random_views else all_views)[: self.views]
-        return _draw_one(self.train_scenes, scene, view, self.train_grasps[scene], self.negatives, generator)
+    def draw_scene(self, scenes: PackedScenes, scene: int, generator: np.random.Generator) -> GraspBatch:
+        """See `DemonstrationData`."""
+        view = self.draw_views(scenes, generator)
+        return _draw_one(scenes, scene, view, self.train_grasps[scene], self.negatives, generator)
 
     def val_dataloader(self) -> DataLoader:
         """Returns the held-out scenes, each with negatives that are the same every time."""

@@ -1,18 +1,17 @@
 """Batches for training the attention: height maps of demonstrated scenes, shifted and turned at random."""
 
 import math
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, default_collate
 
-from nerfgrasp.data.grasps import demonstrations
+from nerfgrasp.data.grasps import DemonstrationData, demonstrations
 from nerfgrasp.data.packed import PackedScenes
-from nerfgrasp.data.streams import SceneSet, StepDataModule, check_enough
+from nerfgrasp.data.streams import SceneSet
 from nerfgrasp.data.views import to_float
-from nerfgrasp.errors import UserError
 from nerfgrasp.scenes.scene import Workspace
 from nerfgrasp_baselines.transporter.canvases import planar_pose, upright
 from nerfgrasp_baselines.transporter.heights import height_map, within
@@ -33,7 +32,7 @@ class HeightBatch(NamedTuple):
     """`[B, 4, 4]`: the demonstrated grasp."""
 
 
-class HeightMapData(StepDataModule):
+class HeightMapData(DemonstrationData):
     """Height maps of demonstrated grasps, from packed sets with depth.
 
     Args:
@@ -48,8 +47,7 @@ class HeightMapData(StepDataModule):
         workers: processes that draw batches, 0 or 1.
     """
 
-    train_set: SceneSet
-    validation_set: SceneSet
+    keeps: ClassVar[tuple[str, ...]] = ("demonstrations", "depth")
 
     def __init__(
         self,
@@ -69,39 +67,13 @@ class HeightMapData(StepDataModule):
         self.pixel, self.shift = pixel, shift
         self.seed, self.workers = seed, workers
 
-    def check(self, stage: str = "fit") -> None:
-        """See `StepDataModule`."""
-        super().check(stage)
-        for name, scenes in (("train", self.train_set), ("validation", self.validation_set)):
-            for kept in ("demonstrations", "depth"):
-                if not getattr(scenes, kept):
-                    raise UserError(f"data.init_args.{name}: {kept} is false: the transporter learns from it")
-            check_enough(f"data.init_args.{name}", "views", self.views, scenes.views)
+    def grasps_of(self, scenes: PackedScenes) -> dict[int, Tensor]:
+        """Returns the demonstrated grasps that lie on the map."""
+        return _on_the_map(scenes, self.pixel)
 
-    def setup(self, stage: str) -> None:
-        """Opens the sets.
-
-        Raises:
-            UserError: one is missing or damaged, or too few scenes have a demonstrated grasp.
-        """
-        self.train_scenes = self.train_set.open() if stage == "fit" else None
-        self.train_grasps = _on_the_map(self.train_scenes, self.pixel) if self.train_scenes is not None else {}
-        if self.train_scenes is not None:
-            what = "scenes with a demonstrated grasp"
-            check_enough(str(self.train_set.folder), what, self.scenes_per_step, len(self.train_grasps))
-        self.held_out = self.validation_set.open()
-
-    def draw(self, generator: np.random.Generator) -> HeightBatch:
-        """Returns one training batch."""
-        chosen = generator.choice(sorted(self.train_grasps), self.scenes_per_step, replace=False)
-        batch: HeightBatch = default_collate([self._draw_scene(int(scene), generator) for scene in chosen])
-        return batch
-
-    def _draw_scene(self, scene: int, generator: np.random.Generator) -> HeightBatch:
-        assert self.train_scenes is not None
-        every = np.arange(self.train_scenes.settings.views)
-        views = (generator.permutation(every) if self.random_views else every)[: self.views]
-        one = read_heights(self.train_scenes, scene, views, self.train_grasps[scene], self.pixel)
+    def draw_scene(self, scenes: PackedScenes, scene: int, generator: np.random.Generator) -> HeightBatch:
+        """See `DemonstrationData`."""
+        one = read_heights(scenes, scene, self.draw_views(scenes, generator), self.train_grasps[scene], self.pixel)
         half = 0.5 * float((one.maximum - one.minimum)[:2].min())
         moved = moved_canvas(one.T_world_canvas, one.T_world_grasp[:2, 3], self.shift, half, generator)
         return one._replace(T_world_canvas=moved)
