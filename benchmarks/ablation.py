@@ -25,7 +25,7 @@ from jsonargparse import auto_cli
 from configs import network_config
 from nerfgrasp.allocator import keep_freed_memory
 from nerfgrasp.commands.configs import read_configs
-from nerfgrasp.commands.generate import generate
+from nerfgrasp.commands.fit import make_set
 from nerfgrasp.data.rays import RayData
 from nerfgrasp.data.streams import SceneSet
 from nerfgrasp.models import MVNeRF
@@ -59,7 +59,7 @@ def main(
     changed = [change(config, variant) for variant in variants]
     for one in changed:
         for name in ("train", "validation"):
-            prepare(SceneSet(**one["data"]["init_args"][name]))
+            make_set(SceneSet(**one["data"]["init_args"][name]))
     jobs = (delayed(measure)(one, minutes, scenes) for one in changed)
     rows = Parallel(n_jobs=workers, return_as="generator")(jobs)
     for variant, row in zip(variants, rows, strict=True):
@@ -80,19 +80,6 @@ def change(config: dict[str, Any], variant: str) -> dict[str, Any]:
             place = place.setdefault(key, {})
         place[keys[-1]] = yaml.safe_load(value)
     return changed
-
-
-def prepare(scenes: SceneSet) -> None:
-    """Makes a data set that is not there."""
-    generate(
-        scenes.task,
-        scenes=scenes.scenes,
-        views=scenes.views,
-        seed=scenes.seed,
-        out=Path(scenes.folder),
-        size=scenes.size,
-        demonstrations=scenes.demonstrations,
-    )
 
 
 def measure(config: dict[str, Any], minutes: float, scenes: int) -> dict[str, float | int]:

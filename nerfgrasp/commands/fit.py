@@ -101,7 +101,7 @@ class Command(LightningCLI):
             where = f"the run's folder is {self.trainer.default_root_dir}"
             print(f"{self.trainer.max_steps} steps; data of {gigabytes:.2g} GB; {where}", flush=True)
         for scenes in sets:
-            _make(scenes)
+            make_set(scenes)
 
 
 def main(verb: str, args: list[str]) -> None:
@@ -182,7 +182,8 @@ def _image_bytes(scenes: SceneSet) -> int:
     return pixel * scenes.scenes * scenes.views * scenes.size**2
 
 
-def _make(scenes: SceneSet) -> None:
+def make_set(scenes: SceneSet) -> None:
+    """Generates a data set; what is there of it stays."""
     from nerfgrasp.commands.generate import generate
 
     generate(
