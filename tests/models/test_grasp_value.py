@@ -142,6 +142,19 @@ def test_one_view_at_a_time_is_the_mean_of_single_values(tiny_network, observati
     assert (single[0] - single[1]).abs().max() > 1e-5
 
 
+def test_where_one_view_sees_through_there_is_nothing(tiny_network, observations: Observations) -> None:
+    torch.manual_seed(0)
+    model = GraspValue(GraspValueConfig(tiny_network(views=1))).eval()
+    points, directions = torch.rand(5, 4, 3) * 0.1, torch.tensor([[0.0, 0.0, -1.0]]).expand(5, 3)
+    single = [
+        model.density(model.observe(observations.select(slice(i, i + 1)), Workspace()), points, directions)
+        for i in range(4)
+    ]
+    together = model.density(model.observe(observations, Workspace()), points, directions)
+    torch.testing.assert_close(together, torch.stack(single).amin(dim=0))
+    assert not torch.allclose(together, single[0])
+
+
 def test_views_beyond_the_last_group_are_not_used(model: GraspValue, observations: Observations) -> None:
     assert model.views == 3
     four, three = (model.value(model.observe(observations.select(slice(n)), Workspace()), poses(3)) for n in (4, 3))
