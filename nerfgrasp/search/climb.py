@@ -1,12 +1,12 @@
 """Candidates climb a value together, by Adam, along the phases of a schedule."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 
 from nerfgrasp.search.pace import Pace, along
-from nerfgrasp.search.schedule import Phase, PoseParameterization, Schedule
+from nerfgrasp.search.schedule import Phase, PoseParameterization, Rung, Schedule
 
 Value = Callable[[Tensor], Tensor]
 """Maps `T_world_grasp` `[P, 4, 4]` to values `[P]`, differentiably and each pose by itself."""
@@ -38,34 +38,41 @@ class Climb:
         """By group, `[P, D]` each: where they are."""
         self.value = torch.full_like(start[:, 0, 0], -torch.inf)
         """`[P]`: the last value known of each."""
+        self.iterations: list[tuple[Tensor, Tensor]] = []
+        """Poses `[P, 4, 4]` and values `[P]`, the start's first."""
         self.climbing = torch.ones_like(self.value, dtype=torch.bool)
         """`[P]`: who has not been left behind at a rung."""
 
     @torch.no_grad()
     def run(self, schedule: Schedule) -> tuple[Tensor, Tensor]:
         """Climbs, and returns the poses `[I, P, 4, 4]` and values `[I, P]` of every iteration, the start's first."""
-        iterations = [now for phase in schedule.phases for now in self._steps(phase, schedule.clip)]
+        for phase in schedule.phases:
+            self._take(phase, schedule.clip)
         self._evaluate(self.climbing)
-        poses, values = zip(*iterations, self._now(), strict=True)
-        return torch.stack(poses), torch.stack(values)
+        self._note()
+        poses, values = (torch.stack(every) for every in zip(*self.iterations, strict=True))
+        if schedule.go_back:
+            best = values.nan_to_num(nan=-torch.inf).argmax(dim=0), torch.arange(len(self.value), device=values.device)
+            poses[-1], values[-1] = poses[best], values[best]
+        return poses, values
 
-    def _steps(self, phase: Phase, clip: float) -> Iterator[tuple[Tensor, Tensor]]:
-        """Takes one phase's steps, and yields what is before each."""
+    def _take(self, phase: Phase, clip: float) -> None:
+        """Takes one phase's steps."""
         groups = [group for group in self.params if phase.moves(group)]
         free = [self.params[group] for group in groups]
         optimizer = torch.optim.Adam(free, lr=phase.learning_rate, maximize=True)
         rate = torch.optim.lr_scheduler.ExponentialLR(optimizer, phase.decay)
         pace = None if phase.plateau is None else Pace(phase.plateau, self.params)
-        kept = {rung.after: rung.share for rung in phase.rungs}
+        rungs = {rung.after: rung for rung in phase.rungs}
         for step in range(phase.steps):
             moving = self.climbing if pace is None else self.climbing & (pace.share > 0)
             if not bool(moving.any()):
                 break
             for param, gradient in zip(free, self._evaluate(moving, groups), strict=True):
                 param.grad = gradient.clamp(-clip, clip)
-            if step in kept:
-                self._leave_behind(kept[step])
-            yield self._now()
+            self._note()
+            if step in rungs:
+                self._leave_behind(rungs[step])
             self._move(optimizer, free, pace, moving & self.climbing)
             rate.step()
         if pace is not None:
@@ -85,12 +92,13 @@ class Climb:
                 gradient[rows] = part
         return gradients
 
-    def _leave_behind(self, share: float) -> None:
-        """Lets the best share of those who climb go on, one at least."""
+    def _leave_behind(self, rung: Rung) -> None:
+        """Lets the best of those who climb go on."""
+        recent = torch.stack([values for _, values in self.iterations[-rung.window :]])
         climbing = torch.nonzero(self.climbing)[:, 0]
-        values = self.value[climbing].nan_to_num(nan=-torch.inf)
-        order = climbing[values.sort(descending=True, stable=True).indices]
-        self.climbing[order[max(1, round(share * len(climbing))) :]] = False
+        best = recent.nan_to_num(nan=-torch.inf).amax(dim=0)[climbing]
+        order = climbing[best.sort(descending=True, stable=True).indices]
+        self.climbing[order[max(1, round(rung.share * len(order))) :]] = False
 
     def _move(
         self, optimizer: torch.optim.Optimizer, free: Sequence[Tensor], pace: Pace | None, moving: Tensor
@@ -105,6 +113,6 @@ class Climb:
         for group, projected in self.project(self.params).items():
             self.params[group].copy_(torch.where(along(moving, projected), projected, before[group]))
 
-    def _now(self) -> tuple[Tensor, Tensor]:
-        """Returns the poses and values; copies, since a decoded pose may share memory with the parameters."""
-        return self.pose.decode(self.params).clone(), self.value.clone()
+    def _note(self) -> None:
+        """Notes where they are; copies, since a decoded pose may share memory with the parameters."""
+        self.iterations.append((self.pose.decode(self.params).clone(), self.value.clone()))

@@ -58,12 +58,15 @@ class Rung:
     after: int
     """So many steps of its phase have been taken."""
     share: float = 0.5
-    """Of those who still climb, the share with the highest values that goes on; rounded, one candidate at least."""
+    """Of those who still climb, the best share that goes on; rounded, one candidate at least."""
+    window: int = 4
+    """Candidates are ranked by the highest of their last so many values: steps of centimetres overshoot, and the value
+    of one moment says less of what a candidate can reach."""
 
     def __post_init__(self) -> None:
         """Checks the numbers; one out of its range is a UserError."""
-        if self.after < 0 or not 0 < self.share <= 1:
-            raise UserError(f"{self}: `after` must be 0 or more, and `share` above 0 and at most 1")
+        if self.after < 0 or self.window < 1 or not 0 < self.share <= 1:
+            raise UserError(f"{self}: `after` must be 0 or more, `share` above 0 and at most 1, `window` at least 1")
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,8 @@ class Schedule:
     """Each starts with a fresh optimizer."""
     clip: float = 1.0
     """Gradients are clipped to ±clip, element by element."""
+    go_back: bool = False
+    """Whether each candidate ends at the best pose that it has seen; the paper's ends at its last one."""
 
     @property
     def steps(self) -> int:
@@ -117,12 +122,10 @@ PAPER = Schedule(
 """The schedule of "Grasping from NeRFs", section "Grasp pose optimization"."""
 
 HALVING = Schedule(
-    (
-        replace(PAPER.phases[0], rungs=(Rung(4), Rung(8), Rung(12))),
-        replace(PAPER.phases[1], rungs=(Rung(0), Rung(4), Rung(8))),
-    )
+    (replace(PAPER.phases[0], rungs=(Rung(6), Rung(10))), replace(PAPER.phases[1], rungs=(Rung(0), Rung(8)))),
+    go_back=True,
 )
-"""As `PAPER`, but after each fourth step only the better half goes on, down to one in 64."""
+"""As `PAPER`, but after 6, 10, 16 and 24 steps the better half goes on alone, and each ends at its best pose."""
 
 
 @dataclass(frozen=True)

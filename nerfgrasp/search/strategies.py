@@ -79,7 +79,7 @@ PRUNE = Strategy("prune", candidates=4096, keep=128, climb=JOINT)
 PAPER_SEARCH = Strategy("paper", candidates=4096, keep=None, climb=PAPER, limits=None, feasibility=None)
 """Algorithm 1 as the paper has it: positions, then orientations, of all candidates, and Ψ alone judges."""
 HALVING_SEARCH = replace(PAPER_SEARCH, name="halving", climb=HALVING)
-"""As `paper`, but the hopeless ones are left behind on the way."""
+"""As `paper`, but who falls behind is left behind, and each ends at the best pose that it has seen."""
 
 STRATEGIES = {
     strategy.name: strategy for strategy in (GUIDED, RESAMPLE, JOINT_SEARCH, PRUNE, PAPER_SEARCH, HALVING_SEARCH)
