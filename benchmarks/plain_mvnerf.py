@@ -46,7 +46,21 @@ def render(
 def evaluate(
     field: Field, features: Tensor, images: Tensor, camera: Camera, table: Tensor, points: Tensor, directions: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Returns RGB `[B, R, S, 3]` and density `[B, R, S]` of points `[B, R, S, 3]` seen along directions `[B, R, 3]`.
+    """Returns RGB `[B, R, S, 3]` and density `[B, R, S]` of points seen along directions; arguments as below."""
+    x, colours = _view_activations(field, features, images, camera, table, points, directions)
+    h = _fused(field, x)[-1]
+    raw = field.readout(relu(h))
+    colour = raw[..., :3].sigmoid()
+    if field.blend is not None:
+        gate = raw[..., 4:].sigmoid()
+        colour = (1 - gate) * colour + gate * (field.blend(x, h) * colours).sum(dim=1)
+    return colour, 100.0 * softplus(raw[..., 3] - 2.0)
+
+
+def activations(
+    field: Field, features: Tensor, images: Tensor, camera: Camera, table: Tensor, points: Tensor, directions: Tensor
+) -> list[Tensor]:
+    """Returns the scene activations, each `[B, R, S, width]`, of points `[B, R, S, 3]` seen along `[B, R, 3]`.
 
     Args:
         field: whose weights are used.
@@ -57,28 +71,32 @@ def evaluate(
         points: metres, world frame.
         directions: unit.
     """
-    config, views = field.config, images.shape[1]
+    return _fused(field, _view_activations(field, features, images, camera, table, points, directions)[0])
+
+
+def _view_activations(
+    field: Field, features: Tensor, images: Tensor, camera: Camera, table: Tensor, points: Tensor, directions: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Each view's activations `[B, V, R, S, width]`, and the colours that it sees."""
     height = points[..., 2:] - table[:, None, None, None]
     each = [
         _first_layer(field, features[:, v], images[:, v], camera[:, v], height, points, directions)
-        for v in range(views)
+        for v in range(images.shape[1])
     ]
     x = torch.stack([row for row, _ in each], dim=1)
-    colours = torch.stack([colour for _, colour in each], dim=1)
     for block in field.view_trunk:
         x = block(x)
+    return x, torch.stack([colour for _, colour in each], dim=1)
+
+
+def _fused(field: Field, x: Tensor) -> list[Tensor]:
     pooled = [x.mean(dim=1)]
-    if config.pool_variance:
+    if field.config.pool_variance:
         pooled.append(x.var(dim=1, correction=0))
-    h = field.pool_layer(torch.cat(pooled, dim=-1))
+    outputs = [field.pool_layer(torch.cat(pooled, dim=-1))]
     for block in field.fused_trunk:
-        h = block(h)
-    raw = field.readout(relu(h))
-    colour = raw[..., :3].sigmoid()
-    if field.blend is not None:
-        gate = raw[..., 4:].sigmoid()
-        colour = (1 - gate) * colour + gate * (field.blend(x, h) * colours).sum(dim=1)
-    return colour, 100.0 * softplus(raw[..., 3] - 2.0)
+        outputs.append(block(outputs[-1]))
+    return outputs
 
 
 def _first_layer(

@@ -84,10 +84,10 @@ def main(
     print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
 
 
-def observe(scene: int, views: int) -> Observations:
+def observe(scene: int, views: int, seed: int = TUNING_SEED) -> Observations:
     """Returns what so many cameras see of a scene."""
-    camera = scene_cameras(TUNING_SEED, scene, views)
-    images, _ = render_scene(find_task("simple").draw(TUNING_SEED, scene), camera)
+    camera = scene_cameras(seed, scene, views)
+    images, _ = render_scene(find_task("simple").draw(seed, scene), camera)
     return Observations((torch.from_numpy(images).movedim(-1, -3) / 255).contiguous(), camera)
 
 

@@ -125,10 +125,13 @@ class GraspValue(StoredModule):
     def forward(self, features: SceneFeatures, T_world_grasp: Tensor) -> Tensor:
         """Returns the values `[B, P]` of grasps `[B, P, 4, 4]` in B scenes; differentiable in the grasps."""
         points, directions = self._probes(T_world_grasp)
-        activations = self.backbone.activations(features, points.flatten(1, 2), directions.flatten(1, 2))
+        return self.read(self.backbone.activations(features, points.flatten(1, 2), directions.flatten(1, 2)))
+
+    def read(self, activations: list[Tensor]) -> Tensor:
+        """Returns the values `[B, P]` from the scene activations, each `[B, P · 6, 7, width]`, of grasps' probes."""
         reduced = [elu(layer(a)) for layer, a in zip(self.reduce, activations, strict=True)]
         fused = elu(self.fuse(torch.cat(reduced, dim=-1)))
-        probes = fused.view(*T_world_grasp.shape[:2], len(self.rays), -1)
+        probes = fused.view(len(fused), -1, len(self.rays), len(self.steps) * self.config.pose_width)
         flat = probes[:, :, self.orders].flatten(-2)
         return self.readout(elu(self.blocks(flat)))[..., 0].mean(dim=-1)
 

@@ -1,7 +1,7 @@
 """Grasp pose optimization by gradient ascent (Algorithm 1 of "Grasping from NeRFs")."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -10,17 +10,13 @@ from torch import Tensor
 from nerfgrasp.errors import UserError
 from nerfgrasp.scenes.scene import Grasps, Workspace
 from nerfgrasp.search.candidates import random_candidates, scatter
+from nerfgrasp.search.climb import Climb, Projection, Value
 from nerfgrasp.search.limits import Limits
-from nerfgrasp.search.pace import Pace
 from nerfgrasp.search.ranking import best_first, distinct
-from nerfgrasp.search.schedule import PAPER, Phase, PoseParameterization, Round, Schedule
+from nerfgrasp.search.schedule import PAPER, PoseParameterization, Round, Schedule
 
-Value = Callable[[Tensor], Tensor]
-"""Maps `T_world_grasp` `[P, 4, 4]` to values `[P]`, differentiably and each pose by itself."""
 Draw = Callable[[int, Workspace, torch.Generator, float], Tensor]
 """Draws so many poses in a workspace, tilted no more than that; see `random_candidates`."""
-Projection = Callable[[dict[str, Tensor]], dict[str, Tensor]]
-"""Maps parameters to permitted ones nearby."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +45,9 @@ def ascend(
 ) -> tuple[Grasps, Trace]:
     """Lets every candidate climb the value by Adam, post-processing its parameters after each step.
 
-    Candidates are independent: the gradient of the sum of values holds each one's own gradient, and Adam works
-    element by element. So they climb in chunks, which bounds the memory and changes nothing else.
+    Candidates are independent, but for a schedule's rungs: the gradient of the sum of values holds each one's own
+    gradient, and Adam works element by element. So they are evaluated in chunks, which bounds the memory and changes
+    nothing else.
 
     Args:
         value: the function to climb; its own parameters stay as they are.
@@ -59,7 +56,7 @@ def ascend(
         workspace: where the positions are kept.
         schedule: phases of steps.
         limits: what every pose keeps to; None for the workspace alone, which is the paper's way.
-        chunk: how many candidates climb at once.
+        chunk: how many candidates are evaluated at once.
 
     Returns:
         The final poses, best first, and the trace of all of them in the order of `start`.
@@ -67,12 +64,8 @@ def ascend(
     Raises:
         UserError: no final pose has a finite value.
     """
-    parts = [_climb(value, part, pose, _projection(pose, workspace, limits), schedule) for part in start.split(chunk)]
-    length = max(len(part.value) for part in parts)
-    trace = Trace(
-        torch.cat([_prolonged(part.T_world_grasp, length) for part in parts], dim=1),
-        torch.cat([_prolonged(part.value, length) for part in parts], dim=1),
-    )
+    climb = Climb(value, start, pose, _projection(pose, workspace, limits), chunk)
+    trace = Trace(*climb.run(schedule))
     grasps = best_first(trace.T_world_grasp[-1], trace.value[-1])
     if len(grasps) == 0:
         raise UserError("the search found no grasp with a finite value: the model's weights may be damaged")
@@ -162,64 +155,3 @@ def _best_of_each(value: Value, poses: Tensor, count: int, chunk: int) -> Tensor
 @torch.no_grad()
 def _values(value: Value, poses: Tensor, chunk: int) -> Tensor:
     return torch.cat([value(part) for part in poses.split(chunk)])
-
-
-def _climb(value: Value, start: Tensor, pose: PoseParameterization, project: Projection, schedule: Schedule) -> Trace:
-    """Runs one chunk's ascent."""
-    with torch.no_grad():
-        params = project(pose.encode(start))
-    params = {group: param.detach().clone() for group, param in params.items()}
-    poses, values = [], []
-    for phase in schedule.phases:
-        for T, v in _steps(value, params, pose, project, phase, schedule.clip):
-            poses.append(T)
-            values.append(v)
-    with torch.no_grad():
-        poses.append(pose.decode(params))
-        values.append(value(poses[-1]))
-    return Trace(torch.stack(poses), torch.stack(values))
-
-
-def _steps(
-    value: Value,
-    params: dict[str, Tensor],
-    pose: PoseParameterization,
-    project: Projection,
-    phase: Phase,
-    clip: float,
-) -> Iterator[tuple[Tensor, Tensor]]:
-    """Moves `params` in place through one phase, and yields each step's pose and value before the step."""
-    moving = [param.requires_grad_(phase.moves(group)) for group, param in params.items()]
-    moving = [param for param in moving if param.requires_grad]
-    optimizer = torch.optim.Adam(moving, lr=phase.learning_rate, maximize=True)
-    rate = torch.optim.lr_scheduler.ExponentialLR(optimizer, phase.decay)
-    pace = None if phase.plateau is None else Pace(phase.plateau, params)
-    for _ in range(phase.steps):
-        with torch.enable_grad():
-            T = pose.decode(params)
-            v = value(T) if pace is None else pace.evaluate(value, T)
-            gradients = torch.autograd.grad(v.sum(), moving)
-        before = T.detach().clone(), v.detach()  # a copy: a decoded pose may share memory with the parameters
-        for param, gradient in zip(moving, gradients, strict=True):
-            param.grad = gradient.clamp(-clip, clip)
-        if pace is None:
-            optimizer.step()
-        else:
-            pace.step(optimizer, moving, params, before[1])
-        rate.step()
-        with torch.no_grad():
-            for group, projected in project(params).items():
-                params[group].copy_(projected)
-        yield before
-        if pace is not None and pace.converged:
-            break
-    for param in params.values():
-        param.requires_grad_(False)
-    if pace is not None:
-        pace.go_back(params)
-
-
-def _prolonged(iterations: Tensor, length: int) -> Tensor:
-    """Returns `[length, ...]`: what ended earlier stays where it is."""
-    rest = iterations[-1:].expand(length - len(iterations), *iterations.shape[1:])
-    return torch.cat([iterations, rest])

@@ -1,6 +1,6 @@
 """A learning rate for each candidate: who no longer rises slows down, and in the end stands still."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -30,20 +30,6 @@ class Pace:
         self.best = {group: param.detach().clone() for group, param in params.items()}
         """The parameters of those values."""
 
-    @property
-    def converged(self) -> bool:
-        """Whether all have."""
-        return not bool(self.share.any())
-
-    def evaluate(self, value: Callable[[Tensor], Tensor], T_world_grasp: Tensor) -> Tensor:
-        """Returns the values `[P]` of poses `[P, 4, 4]`; of those that stand still, without asking again."""
-        moving = self.share > 0
-        if bool(moving.all()):
-            return value(T_world_grasp)
-        values = self.best_value.clone()
-        values[moving] = value(T_world_grasp[moving])
-        return values
-
     def step(
         self, optimizer: torch.optim.Optimizer, moving: Sequence[Tensor], params: dict[str, Tensor], value: Tensor
     ) -> None:
@@ -60,7 +46,7 @@ class Pace:
         optimizer.step()
         with torch.no_grad():
             for param, old in zip(moving, before, strict=True):
-                param.copy_(old + _along(self.share, param) * (param - old))
+                param.copy_(old + along(self.share, param) * (param - old))
         self.go_back(params, self.share == 0)
 
     @torch.no_grad()
@@ -68,14 +54,14 @@ class Pace:
         """Puts candidates, all or those of a mask `[P]`, in place where each one's value was highest."""
         chosen = torch.ones_like(self.stale, dtype=torch.bool) if who is None else who
         for group, param in params.items():
-            param.copy_(torch.where(_along(chosen, param), self.best[group], param))
+            param.copy_(torch.where(along(chosen, param), self.best[group], param))
 
     @torch.no_grad()
     def _note(self, value: Tensor, params: dict[str, Tensor]) -> None:
         better, risen = value > self.best_value, value > self.best_value + self.plateau.rise
         self.best_value = torch.where(better, value, self.best_value)
         for group, param in params.items():
-            self.best[group] = torch.where(_along(better, param), param, self.best[group])
+            self.best[group] = torch.where(along(better, param), param, self.best[group])
         self.stale = torch.where(risen, torch.zeros_like(self.stale), self.stale + 1)
         slower = self.stale > self.plateau.patience
         self.stale = torch.where(slower, torch.zeros_like(self.stale), self.stale)
@@ -83,6 +69,6 @@ class Pace:
         self.share = torch.where(share < self.plateau.least, torch.zeros_like(share), share)
 
 
-def _along(of_candidates: Tensor, param: Tensor) -> Tensor:
+def along(of_candidates: Tensor, param: Tensor) -> Tensor:
     """Views `[P]` so that it broadcasts with `[P, ...]`."""
     return of_candidates.view(-1, *[1] * (param.ndim - 1))

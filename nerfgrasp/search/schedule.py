@@ -1,10 +1,11 @@
 """What a search climbs on and for how long: pose parameterizations, phases, rounds and the schedules made of them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from torch import Tensor
 
+from nerfgrasp.errors import UserError
 from nerfgrasp.scenes.scene import Workspace
 
 WHOLE = "pose"
@@ -48,6 +49,27 @@ class Plateau:
 
 
 @dataclass(frozen=True)
+class Rung:
+    """Where a part of the candidates is left behind: it stops where it is, and is not evaluated again.
+
+    Source: successive halving (Karnin et al. 2013, "Almost optimal exploration in multi-armed bandits").
+    """
+
+    after: int
+    """So many steps of its phase have been taken."""
+    share: float = 0.5
+    """Of those who still climb, the best share that goes on; rounded, one candidate at least."""
+    window: int = 4
+    """Candidates are ranked by the highest of their last so many values: steps of centimetres overshoot, and the value
+    of one moment says less of what a candidate can reach."""
+
+    def __post_init__(self) -> None:
+        """Checks the numbers; one out of its range is a UserError."""
+        if self.after < 0 or self.window < 1 or not 0 < self.share <= 1:
+            raise UserError(f"{self}: `after` must be 0 or more, `share` above 0 and at most 1, `window` at least 1")
+
+
+@dataclass(frozen=True)
 class Phase:
     """A run of Adam steps on some of the parameter groups."""
 
@@ -61,6 +83,13 @@ class Phase:
     """The factor on the learning rate after each step."""
     plateau: Plateau | None = None
     """Ends the phase early, once all candidates have converged; None takes every step alike."""
+    rungs: tuple[Rung, ...] = ()
+    """Where only the best go on, in this phase and those after it."""
+
+    def __post_init__(self) -> None:
+        """Checks the rungs; one that would never be reached is a UserError."""
+        if any(rung.after >= self.steps for rung in self.rungs):
+            raise UserError(f"a rung of {self.rungs} comes after the phase's {self.steps} steps")
 
     def moves(self, group: str) -> bool:
         """Says whether `group` moves in this phase."""
@@ -75,6 +104,8 @@ class Schedule:
     """Each starts with a fresh optimizer."""
     clip: float = 1.0
     """Gradients are clipped to ±clip, element by element."""
+    go_back: bool = False
+    """Whether each candidate ends at the best pose that it has seen; the paper's ends at its last one."""
 
     @property
     def steps(self) -> int:
@@ -89,6 +120,12 @@ PAPER = Schedule(
     )
 )
 """The schedule of "Grasping from NeRFs", section "Grasp pose optimization"."""
+
+HALVING = Schedule(
+    (replace(PAPER.phases[0], rungs=(Rung(6), Rung(10))), replace(PAPER.phases[1], rungs=(Rung(0), Rung(8)))),
+    go_back=True,
+)
+"""As `PAPER`, but after 6, 10, 16 and 24 steps the better half goes on alone, and each ends at its best pose."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Any
 from nerfgrasp.errors import UserError, unknown_name
 from nerfgrasp.search.feasibility import Feasibility
 from nerfgrasp.search.limits import Limits
-from nerfgrasp.search.schedule import CLIMB, FEW_ROUNDS, JOINT, PAPER, ROUNDS, SHORT_CLIMB, Round, Schedule
+from nerfgrasp.search.schedule import CLIMB, FEW_ROUNDS, HALVING, JOINT, PAPER, ROUNDS, SHORT_CLIMB, Round, Schedule
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,12 @@ PRUNE = Strategy("prune", candidates=4096, keep=128, climb=JOINT)
 """Many are evaluated once; the best climb jointly."""
 PAPER_SEARCH = Strategy("paper", candidates=4096, keep=None, climb=PAPER, limits=None, feasibility=None)
 """Algorithm 1 as the paper has it: positions, then orientations, of all candidates, and Ψ alone judges."""
+HALVING_SEARCH = replace(PAPER_SEARCH, name="halving", climb=HALVING)
+"""As `paper`, but who falls behind is left behind, and each ends at the best pose that it has seen."""
 
-STRATEGIES = {strategy.name: strategy for strategy in (GUIDED, RESAMPLE, JOINT_SEARCH, PRUNE, PAPER_SEARCH)}
+STRATEGIES = {
+    strategy.name: strategy for strategy in (GUIDED, RESAMPLE, JOINT_SEARCH, PRUNE, PAPER_SEARCH, HALVING_SEARCH)
+}
 """By name; the first is the default."""
 DEFAULT_STRATEGY = GUIDED.name
 

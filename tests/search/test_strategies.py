@@ -40,7 +40,7 @@ def test_every_search_comes_near_the_peak(name: str, pose: str, workspace: Works
     assert trace.value.shape[1] == 12
     assert len(trace.value) <= strategy.climb.steps + 1
     best = grasps.T_world_grasp[0]
-    assert float((best[:3, 3] - PEAK).norm()) < 0.02
+    assert float((best[:3, 3] - PEAK).norm()) < 0.025  # Algorithm 1 ends with steps of 10 mm
     assert float(-best[2, 2]) > math.cos(0.35)
 
 
