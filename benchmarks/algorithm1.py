@@ -15,17 +15,16 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import plain_mvnerf
 import torch
+from comparison import Row, read_rows
 from jsonargparse import auto_cli
 from search import TUNING_SEED, observe
 from torch import Tensor
 from tqdm import tqdm
 
 from nerfgrasp.allocator import keep_freed_memory
-from nerfgrasp.errors import UserError
 from nerfgrasp.models import GraspValue
 from nerfgrasp.models.folder import DEFAULT_MODEL
 from nerfgrasp.scenes.scene import Workspace
@@ -40,9 +39,6 @@ from nerfgrasp.sim.tasks import workspace
 PLAIN = "plain"
 SCHEDULES = ("paper", "halving")
 """What is compared with it: these too let all candidates start, and Ψ alone judges."""
-
-Row = dict[str, Any]
-"""Of one scene: the settings, and by the search's name its seconds, evaluations and best value."""
 
 
 def main(
@@ -68,7 +64,7 @@ def main(
     keep_freed_memory()
     settings = {"model": model, "candidates": candidates, "seed": seed, "images": images, "chunk": chunk}
     settings |= {"threads": torch.get_num_threads(), "torch": torch.__version__}
-    rows = read_rows(out, settings)
+    rows = {row["scene"]: row for row in read_rows(out, settings)}
     method = Psi.from_pretrained(model)
     method = Psi(method.model, images=images, chunk=chunk)
     for scene in tqdm([scene for scene in range(scenes) if scene not in rows], desc="scenes"):
@@ -79,19 +75,8 @@ def main(
     print("\n".join(summary([rows[scene] for scene in sorted(rows) if scene < scenes])))
 
 
-def read_rows(file: Path, settings: dict[str, Any]) -> dict[int, Row]:
-    """Returns the rows of an earlier run by scene; one with other settings is a UserError."""
-    lines = file.read_text().splitlines() if file.exists() else []
-    rows = {row["scene"]: row for row in map(json.loads, lines)}
-    for row in rows.values():
-        other = [f"{name} {row.get(name)}, not {value}" for name, value in settings.items() if row.get(name) != value]
-        if other:
-            raise UserError(f"{file}: scene {row['scene']} was searched with {', '.join(other)}: name another file")
-    return rows
-
-
 def compare(method: Psi, scene: ObservedScene, index: int, candidates: int) -> Row:
-    """Searches one scene in all ways, each time another first."""
+    """Searches one scene in all ways, each time another first; returns by each one's name what `measured` does."""
     pose = load_pose("quaternion", scene.workspace)
     ways: list[tuple[str, Value, Callable[[Value, torch.Generator], Tensor]]] = [
         (

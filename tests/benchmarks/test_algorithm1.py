@@ -1,14 +1,11 @@
-import json
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import algorithm1
 import pytest
 import torch
 
-from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import Camera
 from nerfgrasp.models import GraspValue, GraspValueConfig
 from nerfgrasp.scenes.scene import Observations, Workspace
@@ -75,12 +72,3 @@ def test_the_summary_compares_scene_by_scene() -> None:
     assert [line.split()[5:7] for line in lines[2:5]] == [["1.00", "1.00"], ["10.00", "8.00"], ["5.00", "4.80"]]
     assert "paper less plain: +0.000 (standard error 0.000)" in lines[5]
     assert "halving less plain: +1.000 (standard error 0.577), median +1.000, higher in 2 of 3" in lines[6]
-
-
-def test_a_run_goes_on_only_with_the_same_settings(tmp_path: Path) -> None:
-    file = tmp_path / "rows.jsonl"
-    assert algorithm1.read_rows(file, {"seed": 1}) == {}
-    file.write_text(json.dumps(row(3, 1.0, 1.0)) + "\n")
-    assert set(algorithm1.read_rows(file, {"seed": 1, "candidates": 4})) == {3}
-    with pytest.raises(UserError, match="scene 3 was searched with candidates 4, not 8"):
-        algorithm1.read_rows(file, {"seed": 1, "candidates": 8})
