@@ -11,7 +11,9 @@ of held-out scenes (`benchmarks/backbone.py`, another seed than the reported one
 import copy
 import json
 import math
+import re
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,20 +23,22 @@ import yaml
 from backbone import network_scores
 from joblib import Parallel, delayed
 from jsonargparse import auto_cli
+from torch import Tensor
 
 from configs import network_config
 from nerfgrasp.allocator import keep_freed_memory
 from nerfgrasp.commands.configs import read_configs
 from nerfgrasp.commands.fit import make_set
-from nerfgrasp.data.rays import RayData
-from nerfgrasp.data.streams import SceneSet
+from nerfgrasp.data.rays import RayBatch, RayData
+from nerfgrasp.data.streams import SceneSet, StepDataModule
 from nerfgrasp.models import MVNeRF
 from nerfgrasp.sim.tasks import find_task
 from nerfgrasp.training import MVNeRFTraining
+from nerfgrasp.training.module import ScheduledTraining
 
 HELD_OUT_SEED = 3
 WARM_UP = 0.04
-"""Share of the time in which the rates rise."""
+"""Share of a training in which the rates rise."""
 
 
 def main(
@@ -72,7 +76,7 @@ def main(
 def change(config: dict[str, Any], variant: str) -> dict[str, Any]:
     """Returns a config with some of its values changed."""
     changed = copy.deepcopy(config)
-    for entry in variant.split():
+    for entry in filter(None, re.split(r"\s+(?=[\w.]+=)", variant.strip())):
         path, value = entry.split("=", 1)
         first, *keys = path.split(".")
         place = changed[first]["init_args"]
@@ -92,23 +96,40 @@ def measure(config: dict[str, Any], minutes: float, scenes: int) -> dict[str, fl
     rays.setup("fit")
     rates = {name: model[name] for name in ("learning_rate", "encoder_learning_rate") if name in model}
     training = MVNeRFTraining(network_config(config), **rates)
-    steps = train(training, rays, 60 * minutes)
+
+    def loss(batch: RayBatch, step: int) -> Tensor:
+        coarse, fine = training.errors(batch, torch.Generator().manual_seed(step))
+        return coarse + fine
+
+    start = time.process_time()
+    steps = train(training, rays, loss, lambda _: (time.process_time() - start) / (60 * minutes))
     network = training.network.eval()
     return {"psnr_objects": score(network, scenes), "steps": steps}
 
 
-def train(training: MVNeRFTraining, data: RayData, seconds: float) -> int:
-    """Trains for so many seconds of processor time and returns the number of steps."""
+def train(
+    training: ScheduledTraining,
+    data: StepDataModule,
+    loss: Callable[[Any, int], Tensor],
+    spent: Callable[[int], float],
+) -> int:
+    """Trains until all is spent, and returns the number of steps; the rates fall to zero over what there is to spend.
+
+    Args:
+        training: gives the optimizer; its own schedule is not asked.
+        data: draws the batches.
+        loss: of a batch and the step's number.
+        spent: the share that is spent before a step.
+    """
     optimizer = training.configure_optimizers()["optimizer"]  # type: ignore[index, call-overload]
     rates = [group["initial_lr"] for group in optimizer.param_groups]
-    start, step = time.process_time(), 0
-    while (share := (time.process_time() - start) / seconds) < 1:
+    step = 0
+    while (share := spent(step)) < 1:
         for group, rate in zip(optimizer.param_groups, rates, strict=True):
             group["lr"] = rate * min(1.0, share / WARM_UP) * 0.5 * (1 + math.cos(math.pi * share))
         batch = data.draw(np.random.default_rng((data.seed, step)))
-        coarse, fine = training.errors(batch, torch.Generator().manual_seed(step))
         optimizer.zero_grad()
-        (coarse + fine).backward()
+        loss(batch, step).backward()
         optimizer.step()
         step += 1
     return step

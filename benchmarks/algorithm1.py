@@ -34,7 +34,7 @@ from nerfgrasp.search.climb import Value
 from nerfgrasp.search.parameterization import load_pose
 from nerfgrasp.search.psi import ObservedScene, Psi
 from nerfgrasp.search.strategies import find_strategy
-from nerfgrasp.sim.tasks import workspace
+from nerfgrasp.sim.tasks import find_task, workspace
 
 PLAIN = "plain"
 SCHEDULES = ("paper", "halving")
@@ -65,10 +65,10 @@ def main(
     settings = {"model": model, "candidates": candidates, "seed": seed, "images": images, "chunk": chunk}
     settings |= {"threads": torch.get_num_threads(), "torch": torch.__version__}
     rows = {row["scene"]: row for row in read_rows(out, settings)}
-    method = Psi.from_pretrained(model)
+    task, method = find_task("simple"), Psi.from_pretrained(model)
     method = Psi(method.model, images=images, chunk=chunk)
     for scene in tqdm([scene for scene in range(scenes) if scene not in rows], desc="scenes"):
-        observed = method.observe(observe(scene, method.images, seed), workspace)
+        observed = method.observe(observe(task.draw(seed, scene), method.images), workspace)
         rows[scene] = {"scene": scene, **settings, **compare(method, observed, scene, candidates)}
         with out.open("a") as file:
             file.write(json.dumps(rows[scene]) + "\n")

@@ -14,15 +14,15 @@ from itertools import product
 from typing import NamedTuple
 
 import torch
+from backbone import pictures
 from jsonargparse import auto_cli
 from tqdm import tqdm
 
 from nerfgrasp.allocator import keep_freed_memory
 from nerfgrasp.models.folder import DEFAULT_MODEL
-from nerfgrasp.scenes.scene import Observations
+from nerfgrasp.scenes.scene import Observations, Truth
 from nerfgrasp.search.psi import Psi
 from nerfgrasp.search.strategies import DEFAULT_STRATEGY, find_strategy
-from nerfgrasp.sim.rendering import render_scene
 from nerfgrasp.sim.tasks import find_task, scene_cameras, workspace
 
 TUNING_SEED = 101
@@ -67,7 +67,7 @@ def main(
     cases = [Case(*values) for values in product(models, schedules, candidates or (None,), images)]
     spent: dict[Case, list[Spent]] = {case: [] for case in cases}
     for scene in tqdm(range(scenes + 1), desc="scenes"):
-        observations = observe(scene, max(images))
+        observations = observe(find_task("simple").draw(TUNING_SEED, scene), max(images))
         for case in cases:
             method = Psi(found[case.model].model, images=case.images)
             seconds = search(method, case, observations.select(slice(case.images)), scene)
@@ -84,11 +84,11 @@ def main(
     print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
 
 
-def observe(scene: int, views: int, seed: int = TUNING_SEED) -> Observations:
+def observe(truth: Truth, views: int) -> Observations:
     """Returns what so many cameras see of a scene."""
-    camera = scene_cameras(seed, scene, views)
-    images, _ = render_scene(find_task("simple").draw(seed, scene), camera)
-    return Observations((torch.from_numpy(images).movedim(-1, -3) / 255).contiguous(), camera)
+    camera = scene_cameras(truth.seed, truth.index, views)
+    images, _ = pictures(truth, camera)
+    return Observations(images, camera)
 
 
 def search(method: Psi, case: Case, observations: Observations, seed: int) -> Spent:

@@ -14,6 +14,7 @@ from nerfgrasp.data.streams import SceneSet, StepDataModule, check_enough
 from nerfgrasp.data.views import Views, read_views
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import make_pose
+from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
 from nerfgrasp.scenes.scene import Workspace
 
 
@@ -32,6 +33,8 @@ class Negatives:
     vertical only: the corners and ends of the object, which fit between the fingers but slip out."""
     perturbed: int = 0
     """The demonstrated grasp, moved or turned just too far to be good."""
+    cut: int = 0
+    """The demonstrated grasp, lowered until the open gripper cuts the table; half of them tilted as well."""
     near_distance: float = 0.01
     """Metres."""
     around_distance: float = 0.06
@@ -44,6 +47,10 @@ class Negatives:
     """Radians by which a turned grasp is turned at least."""
     most_turn: float = 1.5
     """Radians by which it is turned at most."""
+    most_tilt: float = 1.0
+    """Radians by which a grasp that cuts the table is tilted about its closing axis at most."""
+    most_cut: float = 0.02
+    """Metres by which the gripper's lowest point then lies under the table at most."""
 
 
 class GraspBatch(NamedTuple):
@@ -210,7 +217,7 @@ def draw_negatives(grasp: Tensor, workspace: Workspace, negatives: Negatives, ge
 
     Args:
         grasp: the demonstrated one, `[4, 4]`.
-        workspace: where the uniform ones lie.
+        workspace: where the uniform ones lie; its lower face is the table.
         negatives: how many of each kind.
         generator: the source of all draws.
     """
@@ -230,6 +237,7 @@ def draw_negatives(grasp: Tensor, workspace: Workspace, negatives: Negatives, ge
             + _uniform((negatives.around, 3), negatives.around_distance, generator) * torch.tensor([1.0, 1.0, 1 / 3]),
         ),
         _perturbed(grasp, negatives, generator),
+        _cut(grasp, workspace, negatives, generator),
     ]
     return torch.cat(kinds)
 
@@ -255,6 +263,19 @@ def _perturbed(grasp: Tensor, negatives: Negatives, generator: np.random.Generat
     return grasp @ make_pose(
         roma.rotvec_to_rotmat(torch.where(turned, axes * turn, zero)), torch.where(turned, zero, axes * shift)
     )
+
+
+def _cut(grasp: Tensor, workspace: Workspace, negatives: Negatives, generator: np.random.Generator) -> Tensor:
+    """Copies a grasp, tilts every second copy about the closing axis, and sets all as low as they are to be.
+
+    That the fingers still close across the object makes them hard: the table alone spoils them.
+    """
+    count = negatives.cut
+    tilt = _uniform((count, 1), negatives.most_tilt, generator) * (torch.arange(count) % 2)[:, None]
+    tilted = grasp @ make_pose(roma.rotvec_to_rotmat(tilt * torch.tensor([1.0, 0.0, 0.0])), torch.zeros(count, 3))
+    depth = torch.from_numpy(generator.uniform(0, negatives.most_cut, count)).float()
+    tilted[:, 2, 3] += workspace.minimum[2] - depth - ROBOTIQ_2F85.lowest(tilted)
+    return tilted
 
 
 def _rotations(count: int, generator: np.random.Generator) -> Tensor:

@@ -16,6 +16,7 @@ from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.search.ascent import Draw, Trace, search
 from nerfgrasp.search.candidates import random_candidates
 from nerfgrasp.search.devices import find_device
+from nerfgrasp.search.feasibility import Feasibility
 from nerfgrasp.search.occupancy import occupied_candidates
 from nerfgrasp.search.parameterization import load_pose
 from nerfgrasp.search.ranking import best_first, distinct
@@ -164,6 +165,18 @@ class Psi:
         grasps, _ = self.search(observations, workspace, generator=generator)
         return distinct(grasps, count=count)
 
+    def weigh(self, grasps: Grasps, scene: ObservedScene, feasibility: Feasibility) -> Grasps:
+        """Returns grasps by value and feasibility together, best first.
+
+        Args:
+            grasps: valued by Ψ alone.
+            scene: in which they lie.
+            feasibility: what is added to their values.
+        """
+        parts = grasps.T_world_grasp.split(_CHECKED)
+        added = [feasibility(self.model, scene.features, T, scene.workspace) for T in parts]
+        return best_first(grasps.T_world_grasp, grasps.value + torch.cat(added))
+
     def _draw(self, scene: ObservedScene, spacing: float | None) -> Draw:
         if spacing is None:
             return random_candidates
@@ -172,8 +185,4 @@ class Psi:
     def _weighed(self, grasps: Grasps, scene: ObservedScene, how: Strategy) -> Grasps:
         if how.weighed is not None:
             grasps = distinct(grasps, _DISTANCE, _ANGLE, how.weighed)
-        if how.feasibility is None:
-            return grasps
-        parts = grasps.T_world_grasp.split(_CHECKED)
-        added = [how.feasibility(self.model, scene.features, T, scene.workspace) for T in parts]
-        return best_first(grasps.T_world_grasp, grasps.value + torch.cat(added))
+        return grasps if how.feasibility is None else self.weigh(grasps, scene, how.feasibility)

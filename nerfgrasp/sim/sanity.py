@@ -17,9 +17,10 @@ from nerfgrasp.sim.tasks import scene_generator
 OFFSET, TURN = 0.01, math.radians(10.0)
 """Standard deviations of the error at scale 1, along and about each of the grasp's axes."""
 _STREAM = 30
+"""Grasp k of a scene draws from its stream 30 + k."""
 
 
-def perturbed_grasp(truth: Truth, scale: float) -> Tensor:
+def perturbed_grasp(truth: Truth, scale: float, number: int = 0) -> Tensor:
     """Returns a random valid grasp `[4, 4]` of a scene of prisms with a random error, lifted clear of the table.
 
     The grasp and the error's direction are drawn from the scene's own generator and do not depend on `scale`.
@@ -27,8 +28,9 @@ def perturbed_grasp(truth: Truth, scale: float) -> Tensor:
     Args:
         truth: the scene, which has a valid grasp.
         scale: multiplies the error; 0 leaves the valid grasp.
+        number: which of the scene's endless sequence of such grasps.
     """
-    rng = scene_generator(truth.seed, truth.index, _STREAM)
+    rng = scene_generator(truth.seed, truth.index, _STREAM + number)
     generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
     T_world_grasp = sample_top_down(valid_grasps(truth.objects), generator)
     turn, offset = torch.from_numpy(rng.normal(size=(2, 3)) * np.array([[TURN], [OFFSET]]) * scale).float()

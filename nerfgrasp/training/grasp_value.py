@@ -10,7 +10,7 @@ from torchmetrics import MeanMetric
 
 from nerfgrasp.data.grasps import GraspBatch
 from nerfgrasp.errors import UserError
-from nerfgrasp.models import GraspValue, GraspValueConfig, MVNeRF, MVNeRFConfig, SceneFeatures
+from nerfgrasp.models import GraspValue, GraspValueConfig, MVNeRF, MVNeRFConfig
 from nerfgrasp.models.folder import load_backbone, weights_hash
 from nerfgrasp.training.features import FeatureCache
 from nerfgrasp.training.module import ScheduledTraining, seeded
@@ -90,8 +90,7 @@ class GraspValueTraining(ScheduledTraining):
 
     def training_step(self, batch: GraspBatch, batch_idx: int) -> Tensor:
         """Returns the loss of one batch of scenes."""
-        features = self.features(batch) if self.frozen else self._observe(batch)
-        values = self.network(features, batch.T_world_grasp)
+        values = self.training_values(batch)
         loss = grasp_loss(values, self.loss)
         self.log("train/loss", loss.detach(), prog_bar=True)
         self.log("train/top1", _top1(values), prog_bar=True)
@@ -99,9 +98,19 @@ class GraspValueTraining(ScheduledTraining):
 
     def validation_step(self, batch: GraspBatch, batch_idx: int) -> None:
         """Values a held-out scene's poses."""
-        values = self.network(self._observe(batch), batch.T_world_grasp)
+        values = self.values(batch)
         self.held_out["loss"].update(grasp_loss(values, self.loss))
         self.held_out["top1"].update(_top1(values))
+
+    def training_values(self, batch: GraspBatch) -> Tensor:
+        """Returns the values `[B, P]` of a training batch's poses; a frozen backbone's features are kept in memory."""
+        return self.network(self.features(batch), batch.T_world_grasp) if self.frozen else self.values(batch)
+
+    def values(self, batch: GraspBatch) -> Tensor:
+        """Returns the values `[B, P]` of any batch's poses."""
+        inputs = batch.inputs
+        features = self.network.backbone.observe(inputs.images, inputs.camera(), inputs.workspace(), fine_only=True)
+        return self.network(features, batch.T_world_grasp)
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Returns Adam on the readout and, from scratch, on all that it reads."""
@@ -112,10 +121,6 @@ class GraspValueTraining(ScheduledTraining):
         field = [parameter for parameter in backbone.fine.parameters() if parameter.requires_grad]
         encoder = {"params": list(backbone.encoder.parameters()), "lr": self.encoder_learning_rate}
         return self.adam([encoder, {"params": field, "lr": self.learning_rate}, *head])
-
-    def _observe(self, batch: GraspBatch) -> SceneFeatures:
-        inputs = batch.inputs
-        return self.network.backbone.observe(inputs.images, inputs.camera(), inputs.workspace(), fine_only=True)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Leaves a frozen backbone's weights out and keeps their hash instead."""

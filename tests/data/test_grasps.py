@@ -14,6 +14,7 @@ from nerfgrasp.data.streams import SceneSet
 from nerfgrasp.data.views import to_float
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import invert, is_rigid, make_pose
+from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
 from nerfgrasp.scenes.scene import Workspace
 
 NONE = Negatives(uniform=0, near=0)
@@ -52,7 +53,7 @@ def grasps(folder: Path, **changes: Any) -> GraspData:
 
 def test_the_paper_s_512_poses(grasp: Tensor, workspace: Workspace) -> None:
     assert len(drawn(grasp, workspace, Negatives())) == 511
-    assert len(drawn(grasp, workspace, Negatives(3, 4, 5, 6, 7))) == 25
+    assert len(drawn(grasp, workspace, Negatives(3, 4, 5, 6, 7, 8))) == 33
     assert drawn(grasp, workspace, NONE).shape == (0, 4, 4)
 
 
@@ -117,8 +118,25 @@ def test_small_perturbations_are_as_likely_as_large_ones(grasp: Tensor, workspac
     assert 70 < (shifts(grasp, found).norm(dim=-1) < middle).sum() < 130
 
 
+def test_negatives_that_cut_the_table_do_nothing_else(grasp: Tensor, workspace: Workspace) -> None:
+    raised = Workspace(workspace.minimum + torch.tensor([0.0, 0.0, 0.03]), workspace.maximum)
+    found = drawn(grasp, raised, replace(NONE, cut=400, most_tilt=0.6, most_cut=0.01))
+    depth = 0.03 - ROBOTIQ_2F85.lowest(found)
+    assert 0 <= depth.min() < 2e-4
+    assert 0.0098 < depth.max() <= 0.01 + 1e-6
+    assert shifts(grasp, found)[:, :2].abs().max() < 1e-6
+    torch.testing.assert_close(found[::2, :3, :3], grasp[:3, :3].expand(200, 3, 3), atol=1e-6, rtol=0)
+    torch.testing.assert_close(found[:, :3, 0], grasp[:3, 0].expand(400, 3), atol=1e-6, rtol=0)
+    assert 0.59 < turns(grasp, found[1::2]).max() < 0.601
+
+
+def test_other_negatives_are_drawn_as_if_none_cut_the_table(grasp: Tensor, workspace: Workspace) -> None:
+    plain, more = (drawn(grasp, workspace, Negatives(3, 4, 5, 6, 7, cut)) for cut in (0, 8))
+    assert torch.equal(more[:25], plain)
+
+
 def test_negatives_are_a_function_of_their_generator(grasp: Tensor, workspace: Workspace) -> None:
-    kinds = Negatives(3, 4, 5, 6, 7)
+    kinds = Negatives(3, 4, 5, 6, 7, 8)
     assert torch.equal(drawn(grasp, workspace, kinds, 1), drawn(grasp, workspace, kinds, 1))
     assert not torch.equal(drawn(grasp, workspace, kinds, 1), drawn(grasp, workspace, kinds, 2))
 

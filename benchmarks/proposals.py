@@ -1,0 +1,59 @@
+"""What a search proposes in a scene, judged by Ψ alone and with feasibility, and what becomes of it in physics."""
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from search import observe
+from torch import Tensor
+
+from nerfgrasp.evaluation.trials import proposal_generator
+from nerfgrasp.scenes.oracle import grasp_errors, valid_grasps
+from nerfgrasp.scenes.scene import Grasps, Truth
+from nerfgrasp.search.feasibility import Feasibility
+from nerfgrasp.search.psi import ObservedScene, Psi
+from nerfgrasp.search.strategies import GUIDED
+from nerfgrasp.sim.attempt import Outcome, attempt_grasp
+from nerfgrasp.sim.tasks import workspace
+
+ALONE = replace(GUIDED, feasibility=None)
+"""The default search, judged by Ψ alone."""
+
+
+class Proposals(NamedTuple):
+    """The best different grasps of one search, best first."""
+
+    alone: Grasps
+    """By Ψ alone."""
+    weighed: Grasps
+    """The same by Ψ and feasibility together; as they are where the model's density means nothing."""
+
+
+def observed(method: Psi, truth: Truth) -> ObservedScene:
+    """Returns what a method needs of a scene, seen by the cameras of an evaluation."""
+    return method.observe(observe(truth, method.images), workspace)
+
+
+def propose(method: Psi, scene: ObservedScene, truth: Truth) -> Proposals:
+    """Searches a scene once, with the draws of an evaluation's first attempt."""
+    generator = proposal_generator(truth.seed, truth.index, 0)
+    alone, _ = method.search(scene, generator=generator, strategy=ALONE)
+    weighed = method.weigh(alone, scene, Feasibility()) if method.model.config.renders else alone
+    return Proposals(alone, weighed)
+
+
+def succeeds(truth: Truth, T_world_grasp: Tensor) -> bool:
+    """Returns whether a grasp `[4, 4]` lifts an object in physics."""
+    return attempt_grasp(truth, T_world_grasp).outcome == Outcome.SUCCESS
+
+
+def tried(truth: Truth, grasps: Grasps) -> dict[str, Any]:
+    """Carries the best of some grasps out; returns whether it succeeds, and its errors to the nearest valid grasp."""
+    if len(grasps) == 0:
+        return {"success": False, "distance_mm": None, "angle_deg": None}
+    best = grasps.T_world_grasp[0]
+    distance, angle = grasp_errors(best, valid_grasps(truth.objects))
+    return {
+        "success": succeeds(truth, best),
+        "distance_mm": 1000 * float(distance),
+        "angle_deg": float(angle.rad2deg()),
+    }
