@@ -1,5 +1,5 @@
-from itertools import islice
 from inspect import signature
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
