@@ -172,7 +172,8 @@ def _attempt_in_physics(scene: Scene) -> Callable[[Tensor], str]:
 
 def _write(folder: Path, scene: Scene, method: Psi, grasps: Grasps, trace: Trace, data: dict[str, Any]) -> None:
     used = scene.observations.select(slice(method.images))
-    imagined = imagine(method.model, used, scene.workspace, grasps.T_world_grasp[0])
+    renders = method.model.config.renders
+    imagined = imagine(method.model, used, scene.workspace, grasps.T_world_grasp[0]) if renders else {}
     write_json(folder / "grasps.json", data, indent=2)
     picture(used, grasps, imagined_panels(imagined), _facts(grasps, data)).save(folder / "picture.png")
     if find_spec("rerun") is None:

@@ -1,7 +1,7 @@
 """The paper's table as a list of stages: data, backbones, heads, baselines, evaluation, report."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -11,6 +11,7 @@ from nerfgrasp.commands.configs import read_configs
 from nerfgrasp.commands.stages import Stage
 from nerfgrasp.errors import UserError, unknown_name
 from nerfgrasp.evaluation.methods import find_method, load_method
+from nerfgrasp.models.folder import shipped_models
 
 Scale = Literal["laptop", "paper"]
 SCENE_SEED = 100
@@ -60,7 +61,7 @@ class Experiment:
     scale: Scale
     """Of the configs."""
     evaluate_only: bool
-    """Whether the shipped models are taken, `mv3-laptop` and its like, instead of training."""
+    """Whether the shipped models are taken, `mv3-laptop` and its like, instead of training; they must be there."""
     scenes: int
     """Of the task `simple`."""
     clutter_scenes: int
@@ -71,6 +72,17 @@ class Experiment:
     """The folder of its objects."""
     seeds: int
     """Trainings of each head that is repeated; all but the first are tried in the task `simple` alone."""
+
+
+def shipped_name(name: str, scale: Scale) -> str:
+    """Returns the name of the model of one of `LEARNED` that comes with the package, if it does."""
+    return f"{name}-{scale}"
+
+
+def not_shipped(methods: Iterable[str], scale: Scale) -> list[str]:
+    """Returns those out of `methods` that are of `LEARNED` and have no model that comes with the package."""
+    shipped = shipped_models()
+    return [name for name in methods if name in LEARNED and shipped_name(name, scale) not in shipped]
 
 
 def table_stages(experiment: Experiment) -> list[Stage]:
@@ -86,9 +98,7 @@ def table_stages(experiment: Experiment) -> list[Stage]:
             label, model = _other(name)
             stages += _trials(experiment, label, label, model)
         elif experiment.evaluate_only:
-            model = f"{name}-{experiment.scale}"
-            find_method(model)
-            stages += _trials(experiment, name, learned.label, model)
+            stages += _trials(experiment, name, learned.label, shipped_name(name, experiment.scale))
         else:
             made = {stage.name for stage in stages}
             stages += [stage for stage in _training(experiment, name, learned) if stage.name not in made]

@@ -110,10 +110,14 @@ def load_backbone(name: str) -> MVNeRF:
     """Reads what renders of a model: an MVNeRF itself, or the backbone of a grasp value.
 
     Raises:
-        UserError: there is no such model, or it is damaged.
+        UserError: there is no such model, it is damaged, or it never learned to render.
     """
     model = load_model(name)
-    return model.backbone if isinstance(model, GraspValue) else model
+    if not isinstance(model, GraspValue):
+        return model
+    if not model.config.renders:
+        raise UserError(f"model {name} never learned to render: it was trained on grasps alone, without a backbone")
+    return model.backbone
 
 
 def table(scores: Mapping[int, Scores]) -> list[str]:

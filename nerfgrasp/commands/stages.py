@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -42,7 +42,8 @@ class Stage:
     run: str | None = None
     """Of a `fit`: the run's folder. Where it has a checkpoint, the command goes on from the last."""
     rivals: tuple["Stage", ...] = ()
-    """Short trainings, of which the one with the least loss over held-out scenes gives this one its `options`."""
+    """Short trainings, of which the one with the least loss over held-out scenes gives this one its `options`. One that
+    diverges is the worst; it may."""
     options: tuple[str, ...] = ()
     """Of a rival: the arguments that set it apart."""
     gives: str = ""
@@ -60,7 +61,9 @@ class Record:
     seconds: float = 0.0
     """Wall time so far, over all starts."""
     finished: str | None = None
-    """When it ended well; None if it has not."""
+    """When it ended well, or diverged; None if it has not."""
+    diverged: str | None = None
+    """Of a rival: at which step its loss or gradient was not finite, and what it was; None if all were."""
 
 
 @dataclass
@@ -69,8 +72,11 @@ class Running:
 
     stage: Stage
     process: subprocess.Popen[bytes]
-    begin: float
+    since: float
+    """When it was started, seconds since the epoch."""
     before: Record
+    """As of then."""
+    begin: float = field(default_factory=time.monotonic)
 
     def record(self) -> Record:
         """Returns the record as of now."""
@@ -120,30 +126,41 @@ class Work:
         record = self.record(stage)
         if record is None:
             return "to do"
-        return f"{'done in' if record.finished else 'begun,'} {clock(record.seconds)}"
+        how = "diverged," if record.diverged else "done in" if record.finished else "begun,"
+        return f"{how} {clock(record.seconds)}"
 
     def run(self, jobs: int = 1) -> None:
         """Runs what is not done, `jobs` commands at a time, each on its share of the processors.
 
-        Another process that works in the folder is waited for, also a command that a killed one left running.
+        Another process that works in the folder is waited for, also a command that a killed one left running. Once a
+        stage has failed no other is begun; those that run end in their own time.
 
         Raises:
-            UserError: a command failed; its name and its log are named. Others that run are interrupted.
+            UserError: a command failed; its name and its log are named.
         """
         make_folder(self.folder / FOLDER)
         with _claimed(self.folder / FOLDER / "lock") as lock:
             left = [stage for stage in self.stages if not self.done(stage)]
             print(f"{self.folder}: {len(self.stages)} stages, {len(self.stages) - len(left)} done", flush=True)
             running: list[Running] = []
+            failures: list[str] = []
             try:
-                while left or running:
-                    for stage in self._ready(left, running, jobs):
-                        left.remove(stage)
-                        running.append(self._start(stage, jobs, lock))
-                    self._wait(running, len(left))
+                while running or (left and not failures):
+                    try:
+                        for stage in [] if failures else self._ready(left, running, jobs):
+                            left.remove(stage)
+                            running.append(self._start(stage, jobs, lock))
+                        self._wait(running, len(left))
+                    except UserError as error:
+                        failures.append(str(error))
+                        if running:
+                            names = ", ".join(one.stage.name for one in running)
+                            print(f"{error}; nothing more is begun, but {names} may end", flush=True)
             finally:
                 for one in running:
                     self._interrupt(one)
+            if failures:
+                raise UserError("; ".join(failures))
 
     def _ready(self, left: list[Stage], running: list[Running], jobs: int) -> list[Stage]:
         waiting = {stage.name for stage in left} | {one.stage.name for one in running}
@@ -151,7 +168,7 @@ class Work:
         return ready[: jobs - len(running)]
 
     def _start(self, stage: Stage, jobs: int, lock: int) -> Running:
-        command = [*stage.command, *(self._best(stage.rivals).options if stage.rivals else ())]
+        command = [*stage.command, *(self._best(stage).options if stage.rivals else ())]
         before = replace(self.record(stage) or Record(""), command=as_typed(command), finished=None)
         if stage.run is not None and any((self.folder / stage.run / "checkpoints").glob("last*.ckpt")):
             command += ["--ckpt_path", "last"]
@@ -160,6 +177,7 @@ class Work:
         share = str(max(1, (os.cpu_count() or 1) // jobs))
         limits = {"OMP_NUM_THREADS": share, "LOKY_MAX_CPU_COUNT": share} if jobs > 1 else {}
         write_json(self._path(stage, ".json"), asdict(before))
+        since = time.time()
         with self._path(stage, ".log").open("ab") as log:
             process = subprocess.Popen(
                 [*self.program, *command],
@@ -170,7 +188,7 @@ class Work:
                 stderr=subprocess.STDOUT,
                 pass_fds=[lock],  # held for as long as the command runs, even if this process is killed
             )
-        return Running(stage, process, time.monotonic(), before)
+        return Running(stage, process, since, before)
 
     def _wait(self, running: list[Running], left: int) -> None:
         """Returns when one or more of the running stages have ended, and removes them."""
@@ -190,14 +208,23 @@ class Work:
             time.sleep(_POLL)
 
     def _ended(self, one: Running, left: int) -> None:
-        record, status = one.record(), one.process.returncode
-        if status == 0:
-            record = replace(record, finished=datetime.now().astimezone().isoformat(timespec="seconds"))
+        record, status, diverged = one.record(), one.process.returncode, None
+        if status != 0 and any(one.stage in stage.rivals for stage in self.stages):
+            diverged = self._divergence(one)
+        if status == 0 or diverged is not None:
+            now = datetime.now().astimezone().isoformat(timespec="seconds")
+            record = replace(record, finished=now, diverged=diverged)
         write_json(self._path(one.stage, ".json"), asdict(record))
-        if status != 0:
+        if record.finished is None:
             log = self._path(one.stage, ".log")
             raise UserError(f"stage {one.stage.name} ended with status {status}: {record.command}; its log is {log}")
-        print(f"{one.stage.name}: done in {clock(record.seconds)}, {left} left", flush=True)
+        how = "done" if diverged is None else f"diverged ({diverged})"
+        print(f"{one.stage.name}: {how} in {clock(record.seconds)}, {left} left", flush=True)
+
+    def _divergence(self, one: Running) -> str | None:
+        from nerfgrasp.training.callbacks import why_not_finite
+
+        return why_not_finite(self.folder / str(one.stage.run), one.since)
 
     def _show(self, running: list[Running], left: int) -> None:
         if sys.stdout.isatty():
@@ -214,11 +241,18 @@ class Work:
             one.process.wait()
         write_json(self._path(one.stage, ".json"), asdict(one.record()))
 
-    def _best(self, rivals: Sequence[Stage]) -> Stage:
-        losses = {rival.name: held_out_loss(self.folder / str(rival.run)) for rival in rivals}
-        best = min(rivals, key=lambda rival: losses[rival.name])
-        print(f"{', '.join(f'{name}: {loss:.3f}' for name, loss in losses.items())}; best: {best.name}", flush=True)
+    def _best(self, stage: Stage) -> Stage:
+        losses = {rival.name: self._loss(rival) for rival in stage.rivals}
+        told = ", ".join(f"{name}: {loss:.3f}" for name, loss in losses.items())
+        if not any(map(math.isfinite, losses.values())):
+            raise UserError(f"stage {stage.name}: all of its short trainings diverged ({told})")
+        best = min(stage.rivals, key=lambda rival: losses[rival.name])
+        print(f"{told}; best: {best.name}", flush=True)
         return best
+
+    def _loss(self, rival: Stage) -> float:
+        record = self.record(rival)
+        return math.inf if record and record.diverged else held_out_loss(self.folder / str(rival.run))
 
     def _path(self, stage: Stage, suffix: str) -> Path:
         return self.folder / FOLDER / f"{stage.name}{suffix}"

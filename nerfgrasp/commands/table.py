@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from nerfgrasp.commands.parsing import Parser, flags_set
-from nerfgrasp.commands.recipe import LEARNED, TABLE, Experiment, Scale, table_stages
+from nerfgrasp.commands.recipe import LEARNED, TABLE, Experiment, Scale, not_shipped, shipped_name, table_stages
 from nerfgrasp.commands.stages import Work, clock, typed
 from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.tables import Table, format_tables
@@ -55,7 +55,7 @@ def table(
             lies in OUT/data already is used.
         methods: rows of the table.
         scale: of the training configs: `laptop` or `paper`.
-        evaluate_only: try the shipped models instead of training.
+        evaluate_only: try the shipped models instead of training; a method without one is told and left out.
         scenes: simple scenes that each method is tried in.
         clutter_scenes: scenes of clutter; 0 leaves the task out.
         novel_poses: poses of each novel object; 0 leaves the task out.
@@ -65,12 +65,15 @@ def table(
         status: tell how far it is, and run nothing.
 
     Raises:
-        UserError: a method or config does not exist, OUT holds another table, or a command failed.
+        UserError: a method or config does not exist, no model of any method is shipped, OUT holds another table, or a
+            command failed.
     """
     _check(scenes=scenes, clutter_scenes=clutter_scenes, novel_poses=novel_poses, seeds=seeds, jobs=jobs)
     # As an absolute path: the commands run in another folder.
     objects = chosen_folder(objects) if novel_poses else None
     novel = novel_poses * len(open_catalogue(objects).names) if novel_poses else 0
+    if evaluate_only:
+        methods = _shipped(methods, scale)
     experiment = Experiment(out, tuple(methods), scale, evaluate_only, scenes, clutter_scenes, novel, objects, seeds)
     work = Work(out, table_stages(experiment))
     if not status:
@@ -88,6 +91,18 @@ def _check(**values: int) -> None:
     for name, value in values.items():
         if value < RANGES[name]:
             raise UserError(f"{name} is {value}: it must be at least {RANGES[name]}")
+
+
+def _shipped(methods: list[str], scale: Scale) -> list[str]:
+    """Returns the methods without those that are to be trained first, which it names."""
+    absent = not_shipped(methods, scale)
+    if absent:
+        names = ", ".join(shipped_name(name, scale) for name in absent)
+        line = f"no model is shipped as {names}"
+        if len(absent) == len(methods):
+            raise UserError(f"{line}: nothing is left to try")
+        print(f"{line}: left out of the table", flush=True)
+    return [name for name in methods if name not in absent]
 
 
 def _write_times(work: Work) -> None:

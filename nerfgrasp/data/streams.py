@@ -10,6 +10,7 @@ from lightning import LightningDataModule
 from torch.utils.data import DataLoader, IterableDataset
 
 from nerfgrasp.errors import UserError
+from nerfgrasp.scenes.images import IMAGE_SIZE
 
 if TYPE_CHECKING:
     from nerfgrasp.data.packed import PackedScenes
@@ -31,7 +32,7 @@ class SceneSet:
     """The seed from which every scene is drawn; sets of different seeds share no scene."""
     task: str = "simple"
     """The task that draws the scenes."""
-    size: int = 128
+    size: int = IMAGE_SIZE
     """The images' side in pixels."""
     demonstrations: bool = False
     """Whether each scene has a demonstrated grasp."""

@@ -98,13 +98,18 @@ def find_model(name: str) -> Path:
     """
     if Path(name).is_dir():
         return Path(name)
-    shipped = Path(str(files("nerfgrasp"))) / "assets" / "models"
-    if (shipped / name / _CONFIG).is_file():
-        return shipped / name
-    choices = [folder.name for folder in shipped.iterdir() if folder.is_dir()] if shipped.is_dir() else []
+    shipped = shipped_models()
+    if name in shipped:
+        return shipped[name]
     if name.count("/") != 1 or name.startswith((".", "/")):
-        raise unknown_name("model (no folder, and none shipped by that name)", name, choices)
+        raise unknown_name("model (no folder, and none shipped by that name)", name, shipped)
     return _fetch(name)
+
+
+def shipped_models() -> dict[str, Path]:
+    """Returns the folders of the models that come with the package, by name."""
+    folder = Path(str(files("nerfgrasp"))) / "assets" / "models"
+    return {file.parent.name: file.parent for file in sorted(folder.glob(f"*/{_CONFIG}"))}
 
 
 def weights_hash(model: nn.Module) -> str:

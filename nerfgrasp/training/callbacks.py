@@ -90,6 +90,10 @@ class ExponentialAverage(WeightAveraging):
         super().on_train_end(trainer, pl_module)
 
 
+NOT_FINITE = "not-finite-step-{}.pt"
+"""Where in a run's folder `StopOnNotFinite` keeps a batch, by the step (`N-rank-R` of several devices)."""
+
+
 class StopOnNotFinite(Callback):
     """Ends a training whose loss or gradient is not finite, before the weights take harm, and keeps the batch.
 
@@ -123,12 +127,26 @@ class StopOnNotFinite(Callback):
         if math.isfinite(value):
             return
         rank = f"-rank-{trainer.global_rank}" if trainer.world_size > 1 else ""
-        path = Path(trainer.default_root_dir) / f"not-finite-step-{trainer.global_step}{rank}.pt"
+        path = Path(trainer.default_root_dir) / NOT_FINITE.format(f"{trainer.global_step}{rank}")
         reason = f"the {what} is {value}"
         make_folder(path.parent)
         with replacing(path) as temporary:
             torch.save({"step": trainer.global_step, "reason": reason, "batch": _plain(self._batch)}, temporary)
         raise UserError(f"step {trainer.global_step}: {reason}: the training was ended; the batch is in {path}")
+
+
+def why_not_finite(run: Path, since: float) -> str | None:
+    """Returns where and why `StopOnNotFinite` ended a training, e.g. `step 7: the loss is nan`; None if it did not.
+
+    Args:
+        run: the run's folder.
+        since: what is older does not count; seconds since the epoch.
+    """
+    for path in run.glob(NOT_FINITE.format("*")):
+        if path.stat().st_mtime >= since:
+            kept = torch.load(path, map_location="cpu", weights_only=True)
+            return f"step {kept['step']}: {kept['reason']}"
+    return None
 
 
 def _plain(batch: Any) -> Any:

@@ -98,6 +98,14 @@ def test_optimize_writes_grasps_picture_and_recording(
     assert "wrote grasps.json, optimization.rrd, picture.png" in printed
 
 
+def test_what_a_model_that_never_learned_to_render_imagines_is_left_out(desk: Path, tmp_path: Path) -> None:
+    save_model(tmp_path / "no3", GraspValue(GraspValueConfig(backbone=tiny_backbone(), renders=False)))
+    assert main(arguments(desk, tmp_path / "no3", tmp_path / "out")) == 0
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"grasps.json", "picture.png", "optimization.rrd"}
+    with Image.open(tmp_path / "out" / "picture.png") as picture:
+        assert picture.height * 2 < picture.width  # the input views' row alone
+
+
 def test_the_same_seed_writes_the_same_bytes(
     desk: Path, model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

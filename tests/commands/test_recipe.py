@@ -97,8 +97,6 @@ def test_what_does_not_exist_is_told_before_anything_starts(
         stages("a/b=mv3-laptop")
     with pytest.raises(UserError, match="stage simple-random is there twice"):
         stages("random", "random")
-    with pytest.raises(UserError, match="'mv3-paper'"):
-        stages("mv3", scale="paper", evaluate_only=True)
     monkeypatch.setitem(recipe.LEARNED, "tt", Learned("TT", "mv3_grap"))
     with pytest.raises(UserError, match="unknown config 'mv3_grap.yaml': did you mean 'mv3_grasp.yaml'"):
         stages("tt")

@@ -122,6 +122,15 @@ def test_a_grasp_value_renders_with_its_backbone(
     assert {path.name for path in (tmp_path / "out").iterdir()} == WRITTEN - {"render.rrd"}
 
 
+def test_a_grasp_value_that_never_learned_to_render_is_refused(
+    desk: Path, tiny_network: Callable[..., Any], tmp_path: Path, refusal: Callable[[list[str]], str]
+) -> None:
+    save_model(model := tmp_path / "no3", GraspValue(GraspValueConfig(backbone=tiny_network(), renders=False)))
+    line = refusal(arguments(desk, model))
+    assert line == f"model {model} never learned to render: it was trained on grasps alone, without a backbone"
+    assert not (tmp_path / "out").exists()
+
+
 def test_an_orbit_is_animated(desk: Path, backbone: Path, tmp_path: Path) -> None:
     assert main(arguments(desk, backbone, "--orbit=3", "--size=16")) == 0
     out = tmp_path / "out"

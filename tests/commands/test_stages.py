@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
+import torch
 
 from nerfgrasp.commands.stages import Stage, Work, held_out_loss
 from nerfgrasp.errors import UserError
@@ -23,8 +24,13 @@ if verb in ("wait", "meet"):
     while not Path(names[-1]).exists():
         time.sleep(0.01)
 if verb == "fail" and not Path(names[-1]).exists():
-    print("no", names[-1])
+    print("no", names[-1], flush=True)
     sys.exit(3)
+if verb == "diverge":
+    run = Path(names[-1])
+    run.mkdir(parents=True, exist_ok=True)
+    (run / "not-finite-step-7.pt").write_bytes(Path("kept.pt").read_bytes())
+    sys.exit(2)
 """
 
 
@@ -101,14 +107,38 @@ def test_a_failure_stops_with_its_command_and_its_log(work: Callable[..., Work])
     assert ran(work(stages)) == ["do a", "fail the file", "fail the file", "do c"]
 
 
-def test_two_at_once_and_a_failure_interrupts_the_other(work: Callable[..., Work]) -> None:
+def test_two_at_once_and_a_failure_lets_the_other_end(
+    work: Callable[..., Work], capsys: pytest.CaptureFixture[str]
+) -> None:
     stages = [Stage("a", ("meet", "A", "B")), Stage("b", ("meet", "B", "A"))]
     work(stages).run(jobs=2)
-    more = [*stages, Stage("endless", ("wait", "never")), Stage("f", ("fail", "x"), ("a",)), Stage("g", (), ("f",))]
-    with pytest.raises(UserError, match="stage f ended with status 3"):
+    more = [*stages, Stage("slow", ("wait", "go")), Stage("f", ("fail", "x")), Stage("g", ("do", "g"))]
+    log = work(more).folder / "stages" / "f.log"
+
+    def release() -> None:
+        while not (log.exists() and log.read_text()):
+            time.sleep(0.01)
+        time.sleep(0.3)
+        (log.parent.parent / "go").touch()
+
+    threading.Thread(target=release, daemon=True).start()
+    with pytest.raises(UserError, match="^stage f ended with status 3"):
         work(more).run(jobs=2)
-    assert not work(more).done(more[2])
-    assert "wait never" in ran(work(more))
+    out = capsys.readouterr().out
+    assert "f.log; nothing more is begun, but slow may end\nslow: done in 0:00:0" in out
+    assert [work(more).done(stage) for stage in more] == [True, True, True, False, False]
+    assert "do g" not in ran(work(more))
+
+
+def test_an_interrupt_ends_what_runs(work: Callable[..., Work], monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(running: object, left: int) -> None:
+        raise KeyboardInterrupt
+
+    endless = work([Stage("endless", ("wait", "never"))])
+    monkeypatch.setattr(endless, "_wait", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        endless.run()
+    assert endless.state(endless.stages[0]).startswith("begun, ")
 
 
 def test_the_best_rival_s_options_are_taken(work: Callable[..., Work], capsys: pytest.CaptureFixture[str]) -> None:
@@ -126,6 +156,38 @@ def test_the_best_rival_s_options_are_taken(work: Callable[..., Work], capsys: p
     assert work([*rivals, final]).done(final)
     with pytest.raises(UserError, match="no val/loss"):
         held_out_loss(work([]).folder / "runs" / "final")
+
+
+def test_a_rival_that_diverges_is_the_worst(work: Callable[..., Work], capsys: pytest.CaptureFixture[str]) -> None:
+    folder = work([]).folder
+    torch.save({"step": 7, "reason": "the loss is nan", "batch": {}}, folder / "kept.pt")
+    (folder / "runs" / "2" / "lightning_logs" / "version_0").mkdir(parents=True)
+    (folder / "runs" / "2" / "lightning_logs" / "version_0" / "metrics.csv").write_text("val/loss\n9.5\n")
+    rivals = tuple(
+        Stage(f"rate-{n}", (verb, f"runs/{n}"), run=f"runs/{n}", options=("--rate", n))
+        for n, verb in (("1", "diverge"), ("2", "do"), ("3", "diverge"))
+    )
+    stages = [*rivals, Stage("final", ("do",), rivals=rivals)]
+    for _ in range(2):
+        work(stages).run()
+        assert ran(work(stages)) == ["diverge runs/1", "do runs/2", "diverge runs/3", "do --rate 2"]
+    record = json.loads((folder / "stages" / "rate-1.json").read_text())
+    assert record["diverged"] == "step 7: the loss is nan"
+    assert record["finished"] is not None
+    assert work(stages).state(rivals[0]).startswith("diverged, 0:00:0")
+    out = capsys.readouterr().out
+    assert "rate-1: diverged (step 7: the loss is nan) in 0:00:0" in out
+    assert "rate-1: inf, rate-2: 9.500, rate-3: inf; best: rate-2" in out
+
+    two = (rivals[0], rivals[2])
+    with pytest.raises(UserError, match=r"^stage last: all of its short trainings diverged \(rate-1: inf, rate-3: inf"):
+        work([*two, Stage("last", ("do",), rivals=two)]).run()
+    # The file of an earlier time says nothing of a failure now, and only a rival may diverge.
+    again = Stage("rate-4", ("fail", "x"), run="runs/1")
+    with pytest.raises(UserError, match="stage rate-4 ended with status 3"):
+        work([again, Stage("last", ("do",), rivals=(again,))]).run()
+    with pytest.raises(UserError, match="stage alone ended with status 2"):
+        work([Stage("alone", ("diverge", "runs/5"), run="runs/5")]).run()
 
 
 def test_another_command_under_the_same_name_is_refused(work: Callable[..., Work]) -> None:

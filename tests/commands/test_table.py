@@ -8,6 +8,7 @@ import pytest
 pytest.importorskip("pybullet")
 
 from nerfgrasp import cli
+from nerfgrasp.commands import recipe
 
 METHOD = "from nerfgrasp_baselines.random import Random\nclass Mine(Random): ...\n"
 
@@ -45,6 +46,20 @@ def test_a_stranger_s_method_has_a_row(
     capsys.readouterr()
     assert cli.main([*args, "--status"]) == 0
     assert " done in 0:0" in capsys.readouterr().out.splitlines()[0]
+
+
+def test_a_method_whose_model_is_not_shipped_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(recipe, "shipped_models", lambda: {"mv3-laptop": tmp_path})
+    args = ["table", "--out", str(tmp_path / "out"), "--evaluate_only", "--novel_poses", "0", "--status"]
+    assert cli.main([*args, "--methods", "no3", "mv3", "tn", "random"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "no model is shipped as no3-laptop, tn-laptop: left out of the table"
+    stages = [line.split()[0] for line in lines[1:]]
+    assert stages == ["simple-mv3", "clutter-mv3", "simple-random", "clutter-random", "report"]
+    assert cli.main([*args, "--methods", "mv3", "--scale", "paper"]) == 2
+    assert capsys.readouterr().err.endswith(": no model is shipped as mv3-paper: nothing is left to try\n")
 
 
 @pytest.mark.parametrize(

@@ -1,3 +1,4 @@
+from inspect import signature
 from itertools import islice
 from pathlib import Path
 
@@ -5,6 +6,7 @@ import numpy as np
 import pytest
 from torch.utils.data import DataLoader
 
+from nerfgrasp.commands.generate import generate
 from nerfgrasp.data.streams import SceneSet, StepDataModule, StepStream, check_enough
 from nerfgrasp.errors import UserError
 
@@ -60,6 +62,10 @@ def test_too_small_a_set_is_told() -> None:
     check_enough("data.train", "views", 4, 4)
     with pytest.raises(UserError, match="^data.train: 5 views are needed at once, the set has 4$"):
         check_enough("data.train", "views", 5, 4)
+
+
+def test_a_set_has_images_of_the_size_that_generate_makes() -> None:
+    assert SceneSet(Path("train"), 2, 3, 0).size == signature(generate).parameters["size"].default
 
 
 def test_a_set_that_is_not_there(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from torch.utils.data import DataLoader
 from nerfgrasp.data.rays import RayBatch
 from nerfgrasp.errors import UserError
 from nerfgrasp.training import callbacks
-from nerfgrasp.training.callbacks import ExpectedTime, ExponentialAverage, RayRate, StopOnNotFinite
+from nerfgrasp.training.callbacks import ExpectedTime, ExponentialAverage, RayRate, StopOnNotFinite, why_not_finite
 
 
 class Batch(NamedTuple):
@@ -112,6 +112,9 @@ def test_a_training_that_is_not_finite_ends_before_harm(tmp_path: Path, loss: An
     kept = torch.load(file, weights_only=True)
     assert kept == {"step": 2, "reason": reason, "batch": {"x": torch.tensor(-1.0)}}
     assert list(tmp_path.iterdir()) == [file]
+    written = file.stat().st_mtime
+    assert why_not_finite(tmp_path, since=written) == f"step 2: {reason}"
+    assert why_not_finite(tmp_path, since=written + 1) is None
 
 
 def test_an_average_by_hand(tmp_path: Path) -> None:
