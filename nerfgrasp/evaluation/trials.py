@@ -23,6 +23,7 @@ from nerfgrasp.scenes.oracle import grasp_errors, valid_grasps
 from nerfgrasp.scenes.prisms import Prism
 from nerfgrasp.scenes.scene import Grasps, Observations, Truth
 from nerfgrasp.scenes.truth import truth_to_json
+from nerfgrasp.search.ranking import alike
 from nerfgrasp.sim.attempt import Attempt, Outcome, attempt_grasp
 from nerfgrasp.sim.physics import physics_hash
 from nerfgrasp.sim.rendering import render_scene
@@ -77,18 +78,24 @@ def run_scene(trials: Trials, scene: int) -> list[tuple[Row, Times]]:
     """Returns every attempt of a method in one scene; a pure function of its arguments, but for the times.
 
     Each attempt looks anew, at what the last one left, and draws from a random stream of its own. After an object
-    was lifted it is gone; the scene ends when the table is empty.
+    was lifted it is gone; the scene ends when the table is empty. What failed since the last success is not repeated:
+    of the grasps that the method proposes, the best one that is not nearly the same is carried out.
 
     Raises:
         UserError: the method cannot be loaded, or proposed what is no pose.
     """
     method = load_method(trials.method, trials.folder, trials.schedule)
     truth, attempts = trials.task.draw(trials.seed, scene), []
+    failed: list[Tensor] = []
     for number in range(trials.task.attempts):
         if not truth.objects:
             break
-        row, times, after = _try(trials, method, truth, number)
+        row, times, after = _try(trials, method, truth, number, failed)
         attempts.append((row, times))
+        if after.outcome == Outcome.SUCCESS:
+            failed = []
+        elif row.grasp is not None:
+            failed.append(recorded_pose(row.grasp))
         truth = replace(truth, objects=after.after, demonstration=None)
     return attempts
 
@@ -116,16 +123,18 @@ def recorded_pose(grasp: dict[str, list[float]]) -> Tensor:
     return make_pose(roma.unitquat_to_rotmat(quaternion), position)
 
 
-def _try(trials: Trials, method: Method, truth: Truth, number: int) -> tuple[Row, Times, Attempt]:
-    """Makes one attempt, number `number` of a scene, in the scene as it is now."""
+def _try(trials: Trials, method: Method, truth: Truth, number: int, failed: list[Tensor]) -> tuple[Row, Times, Attempt]:
+    """Makes one attempt, number `number` of a scene, in the scene as it is now; grasps that failed are not repeated."""
     camera = scene_cameras(truth.seed, truth.index, VIEWS, trials.size)
     clock = [time.perf_counter()]
     observations = _observe(truth, camera, method.needs)
     clock.append(time.perf_counter())
     generator = proposal_generator(truth.seed, truth.index, number)
-    grasps = method.propose(observations, workspace, generator=generator, count=1)
+    grasps = method.propose(observations, workspace, generator=generator, count=1 + len(failed))
     clock.append(time.perf_counter())
-    grasp, value = _recorded(grasps, f"method {trials.method!r}, scene {truth.index}, attempt {number}")
+    grasp, value = _recorded(
+        _untried(grasps, failed), f"method {trials.method!r}, scene {truth.index}, attempt {number}"
+    )
     attempt = _carry_out(truth, grasp)
     clock.append(time.perf_counter())
     row = Row(
@@ -168,6 +177,16 @@ def _observe(truth: Truth, camera: Camera, needs: frozenset[str]) -> Observation
         images, _ = render_scene(truth, camera)
     colours = (torch.from_numpy(images).movedim(-1, -3) / 255).contiguous()
     return Observations(colours, camera, depth, truth if "truth" in needs else None)
+
+
+def _untried(grasps: Grasps, failed: list[Tensor]) -> Grasps:
+    """Returns grasps `[N]` without those that are nearly the same as one that failed; all, if that leaves none."""
+    if len(grasps) == 0 or not failed:
+        return grasps
+    T = grasps.T_world_grasp.detach().cpu().double()
+    again = alike(T[:, None], torch.stack(failed)).any(dim=1)
+    kept = torch.nonzero(~again)[:, 0]
+    return grasps if len(kept) == 0 else Grasps(T[kept], grasps.value.detach().cpu()[kept])
 
 
 def _recorded(grasps: Grasps, where: str) -> tuple[dict[str, list[float]] | None, float | None]:

@@ -33,28 +33,42 @@ def grasp_angle(rotation: Tensor, other: Tensor) -> Tensor:
     return torch.minimum(*angles)
 
 
-def distinct(
-    grasps: Grasps, distance: float = 0.02, angle: float = math.radians(30.0), count: int | None = None
-) -> Grasps:
+DISTANCE, ANGLE = 0.02, math.radians(30.0)
+"""Metres and radians: grasps that are nearer to each other in both are nearly the same."""
+
+
+def alike(T_world_grasp: Tensor, other: Tensor, distance: float = DISTANCE, angle: float = ANGLE) -> Tensor:
+    """Says of grasps `[..., 4, 4]` and others, broadcast, which are nearly the same: `[...]`, bool.
+
+    Args:
+        T_world_grasp: the ones.
+        other: the others.
+        distance: they are nearly the same if their positions are closer than this, metres, ...
+        angle: ... and their rotations too, radians; a half turn of the gripper makes no difference.
+    """
+    one, two = torch.broadcast_tensors(T_world_grasp, other)
+    near = (one[..., :3, 3] - two[..., :3, 3]).norm(dim=-1) < distance
+    return near & (grasp_angle(one[..., :3, :3], two[..., :3, :3]) < angle)
+
+
+def distinct(grasps: Grasps, distance: float = DISTANCE, angle: float = ANGLE, count: int | None = None) -> Grasps:
     """Drops each grasp that is nearly the same as a better one (greedy suppression).
 
     Args:
         grasps: best first.
-        distance: two grasps are nearly the same if their positions are closer than this, metres, ...
-        angle: ... and their rotations too, radians; a half turn of the gripper makes no difference.
+        distance: see `alike`.
+        angle: likewise.
         count: stop after this many grasps; None for all.
 
     Returns:
         The grasps left, best first.
     """
-    position, rotation = grasps.T_world_grasp[:, :3, 3], grasps.T_world_grasp[:, :3, :3]
-    open_ = torch.ones(len(grasps), dtype=torch.bool, device=position.device)
+    T = grasps.T_world_grasp
+    open_ = torch.ones(len(grasps), dtype=torch.bool, device=T.device)
     kept: list[int] = []
     while len(kept) != count and bool(open_.any()):
         best = int(torch.argmax(open_.byte()))
-        near = (position - position[best]).norm(dim=-1) < distance
-        alike = grasp_angle(rotation, rotation[best].expand_as(rotation)) < angle
-        open_ &= ~(near & alike)
+        open_ &= ~alike(T, T[best], distance, angle)
         open_[best] = False
         kept.append(best)
-    return Grasps(grasps.T_world_grasp[kept], grasps.value[kept])
+    return Grasps(T[kept], grasps.value[kept])

@@ -23,7 +23,7 @@ DOWN = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0]))
 
 
 class Scripted:
-    """Proposes what a function of (observations, generator) returns, and keeps what it was shown."""
+    """Proposes the pose or poses that a function of (observations, generator) returns, and keeps what it was shown."""
 
     def __init__(self, needs: set[str], propose: Callable[..., Any]) -> None:
         self.needs, self.script = frozenset(needs), propose
@@ -34,7 +34,8 @@ class Scripted:
     ) -> Grasps:
         self.seen.append(observations)
         T = self.script(observations, generator)
-        return Grasps(torch.zeros(0, 4, 4), torch.zeros(0)) if T is None else Grasps(T[None], torch.tensor([0.5]))
+        poses = torch.zeros(0, 4, 4) if T is None else T.view(-1, 4, 4)
+        return Grasps(poses, torch.full((len(poses),), 0.5))
 
 
 @pytest.fixture
@@ -132,6 +133,27 @@ def test_lifted_objects_are_gone_and_the_next_attempt_looks_anew(script: Callabl
         first, second = method.seen[lifted[0]], method.seen[lifted[0] + 1]
         assert not torch.equal(first.images, second.images)
     assert len(rows) == 4 or len(rows[-1].objects) == 1
+
+
+def test_what_failed_is_not_repeated_until_a_success(script: Callable[..., Scripted]) -> None:
+    def propose(observations: Observations, generator: torch.Generator) -> torch.Tensor:
+        again, other = high(observations, generator), high(observations, generator)
+        again[0, 3] += 0.005 * torch.rand(1, generator=generator).item()
+        other[0, 3] = 0.1
+        return torch.stack([again, other, demonstrated(observations, generator)])
+
+    script(propose, {"truth"})
+    rows = [row for row, _ in run_scene(REPEATED, 1)]
+    chosen = ["again" if abs(row.grasp["position"][0]) < 0.01 else "other" for row in rows[:2]]
+    assert chosen == ["again", "other"]
+    assert [row.outcome for row in rows[:3]] == ["nothing_between_fingers"] * 2 + ["success"]
+    assert len(rows) == 3 or rows[3].grasp["position"] == pytest.approx([0.0, 0.0, 0.4], abs=0.01)
+
+
+def test_where_all_has_failed_the_best_is_repeated(script: Callable[..., Scripted]) -> None:
+    script(high)
+    rows = [row for row, _ in run_scene(REPEATED, 0)]
+    assert [row.grasp["position"][2] for row in rows] == pytest.approx([0.4] * 4)
 
 
 def test_a_scene_without_a_grasp_goes_on_to_its_next_attempt(script: Callable[..., Scripted]) -> None:
