@@ -4,13 +4,16 @@
     python benchmarks/search.py --candidates '[64, 256, 1024, 4096]' --images '[3, 6]'
 
 Simple scenes of the tuning seed are rendered, observed and searched, case by case in turns, because machines are noisy.
-Medians over scenes: seconds by the wall's clock, and of the process's own time, which counts every thread.
+Medians over scenes: seconds by the wall's clock, and of the process's own time, which counts every thread. The peak of
+memory is that of a process which does nothing else, first with the model loaded, then after one search.
 """
 
 import resource
 import statistics
 import time
+from concurrent.futures import ProcessPoolExecutor
 from itertools import product
+from multiprocessing import get_context
 from typing import NamedTuple
 
 import torch
@@ -73,15 +76,18 @@ def main(
             seconds = search(method, case, observations.select(slice(case.images)), scene)
             spent[case] += [seconds] if scene else []
     print(f"{torch.get_num_threads()} threads, torch {torch.__version__}, medians over {scenes} scenes")
-    print("model               schedule    candidates  images  observe, s  search, s  together, s  process, s")
+    print(
+        "model               schedule    candidates  images  observe, s  search, s  together, s  process, s  memory, MB"
+    )
     for case, rows in spent.items():
         observe_s, search_s, process_s = (statistics.median(column) for column in zip(*rows, strict=True))
+        loaded, peak = isolated_memory(case)
         count = find_strategy(case.schedule, candidates=case.candidates).candidates
         print(
             f"{case.model:<20}{case.schedule:<12}{count:10d}{case.images:8d}{observe_s:12.2f}{search_s:11.2f}"
-            f"{statistics.median(row.observe + row.search for row in rows):13.2f}{process_s:12.2f}"
+            f"{statistics.median(row.observe + row.search for row in rows):9.2f}{process_s:12.2f}"
+            f"{loaded:6.0f}{peak:6.0f}"
         )
-    print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
 
 
 def observe(truth: Truth, views: int) -> Observations:
@@ -100,6 +106,26 @@ def search(method: Psi, case: Case, observations: Observations, seed: int) -> Sp
     method.search(observed, generator=torch.Generator().manual_seed(seed), strategy=strategy)
     end = time.perf_counter()
     return Spent(middle - start, end - middle, time.process_time() - process)
+
+
+def isolated_memory(case: Case) -> tuple[float, float]:
+    """Returns what `memory` does, of a process of its own."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(memory, case).result()
+
+
+def memory(case: Case) -> tuple[float, float]:
+    """Returns this process's peak memory in MB with the model loaded, and after a search in the first scene."""
+    keep_freed_memory()
+    method = Psi(Psi.from_pretrained(case.model).model, images=case.images)
+    observations = observe(find_task("simple").draw(TUNING_SEED, 0), case.images)
+    before = _peak()
+    search(method, case, observations, 0)
+    return before, _peak()
+
+
+def _peak() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 if __name__ == "__main__":
