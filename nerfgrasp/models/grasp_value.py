@@ -111,16 +111,13 @@ class GraspValue(StoredModule):
         return self(features, T_world_grasp.expand(groups, *T_world_grasp.shape)).mean(dim=0)
 
     def density(self, features: SceneFeatures, points: Tensor, directions: Tensor) -> Tensor:
-        """Returns the backbone's density `[R, S]` in 1/m at points `[R, S, 3]`, seen along directions `[R, 3]`.
-
-        Of groups of views that differ the least counts: behind what one hides, it guesses; where another sees through,
-        nothing is (space carving).
-        """
+        """Returns the backbone's density `[R, S]` in 1/m at points `[R, S, 3]`, seen along directions `[R, 3]`: of groups
+        of views the mean."""
         groups = features.fine.images.shape[0]
         _, density = self.backbone.fine(
             features.fine, points.expand(groups, *points.shape), directions.expand(groups, *directions.shape)
         )
-        return density.amin(dim=0)
+        return density.mean(dim=0)
 
     def forward(self, features: SceneFeatures, T_world_grasp: Tensor) -> Tensor:
         """Returns the values `[B, P]` of grasps `[B, P, 4, 4]` in B scenes; differentiable in the grasps."""
