@@ -111,8 +111,10 @@ class GraspValue(StoredModule):
         return self(features, T_world_grasp.expand(groups, *T_world_grasp.shape)).mean(dim=0)
 
     def density(self, features: SceneFeatures, points: Tensor, directions: Tensor) -> Tensor:
-        """Returns the backbone's density `[R, S]` in 1/m at points `[R, S, 3]`, seen along directions `[R, 3]`: of groups
-        of views the mean."""
+        """Returns the backbone's density `[R, S]` in 1/m at points `[R, S, 3]`, seen along directions `[R, 3]`.
+
+        Of groups of views it is the mean.
+        """
         groups = features.fine.images.shape[0]
         _, density = self.backbone.fine(
             features.fine, points.expand(groups, *points.shape), directions.expand(groups, *directions.shape)
