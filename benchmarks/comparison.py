@@ -9,33 +9,32 @@ import statistics
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 from unittest.mock import patch
 
 import numpy as np
 import torch
-from backbone import SEEN_VIEWS, pictures
+from proposals import NO_ERRORS, observed
 from torch import Tensor
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.statistics import bootstrap_difference, mcnemar, wilson_interval
-from nerfgrasp.evaluation.tables import Table
+from nerfgrasp.evaluation.tables import Table, format_tables
+from nerfgrasp.evaluation.trials import pose_errors
 from nerfgrasp.models import GraspValue
 from nerfgrasp.models.mvnerf import SceneFeatures
 from nerfgrasp.parallel import run_all
-from nerfgrasp.scenes.images import IMAGE_SIZE
-from nerfgrasp.scenes.oracle import grasp_errors, valid_grasps
-from nerfgrasp.scenes.scene import Grasps, Observations, Truth
+from nerfgrasp.scenes.scene import Grasps, Truth
 from nerfgrasp.search.ascent import Trace
 from nerfgrasp.search.psi import ObservedScene, Psi
 from nerfgrasp.sim.attempt import Outcome, attempt_grasp
 from nerfgrasp.sim.physics import physics_hash
-from nerfgrasp.sim.tasks import find_task, scene_cameras, workspace
+from nerfgrasp.sim.tasks import find_task
 
-TUNING_SEED, REPORTED_SEED = 101, 100
-"""Of the scenes in which settings are chosen, and of those that figures are reported of."""
+REPORTED_SEED = 100
+"""Of the scenes that figures are reported of."""
 CONVERGED = 0.1
 """A candidate has converged once the best value that it has seen is so near to the best it will see, logits."""
 GRADIENT = 2
@@ -74,6 +73,36 @@ class Spent:
 
     evaluations: int = 0
     """Of the grasp value; one with a gradient counts as two. The model's density is asked besides, and not counted."""
+
+
+def run(
+    measure: Callable[..., list[Row]],
+    cases: Sequence[C],
+    *,
+    model: str,
+    seed: int,
+    attempts: bool,
+    out: Path,
+    scenes: int,
+    workers: int | None,
+    **settings: Any,
+) -> list[Row]:
+    """As `compare`, with `measure(scene, cases)` given the model, the seed, whether to carry grasps out, and settings.
+
+    Args:
+        measure: as there, with these as further arguments, by name.
+        cases: what is compared.
+        model: folder or shipped name of a grasp value.
+        seed: of the scenes.
+        attempts: whether grasps are carried out.
+        out: JSON lines.
+        scenes: how many.
+        workers: see `compare`.
+        settings: JSON data that the rows depend on beside these.
+    """
+    job = partial(measure, model=model, seed=seed, attempts=attempts, **settings)
+    shared = {"model": model, "seed": seed, **settings, "physics": physics_hash() if attempts else None}
+    return compare(job, cases, shared, out=out, scenes=scenes, workers=workers)
 
 
 def compare(
@@ -158,9 +187,7 @@ def read_rows(out: Path, settings: Row) -> list[Row]:
 def look(model: str, seed: int, index: int) -> Seen:
     """Renders a scene as `nerfgrasp evaluate` does, and encodes its images."""
     truth, psi = find_task("simple").draw(seed, index), _psi(model)
-    camera = scene_cameras(seed, index, SEEN_VIEWS, IMAGE_SIZE)
-    images, _ = pictures(truth, camera)
-    return Seen(truth, psi, psi.observe(Observations(images, camera), workspace))
+    return Seen(truth, psi, observed(psi, truth))
 
 
 @lru_cache(maxsize=1)
@@ -200,18 +227,8 @@ def climb_measures(trace: Trace) -> Row:
 def attempt_measures(truth: Truth, grasps: Grasps) -> Row:
     """Carries the first of the grasps out, and returns the outcome and its errors to the nearest valid grasp."""
     grasp = grasps.T_world_grasp[0].double()
-    distance, angle = grasp_errors(grasp, valid_grasps(truth.objects))
-    return {
-        "weighed": float(grasps.value[0]),
-        "outcome": str(attempt_grasp(truth, grasp).outcome),
-        "distance_mm": 1000 * float(distance),
-        "angle_deg": float(torch.rad2deg(angle)),
-    }
-
-
-def attempt_settings(attempts: bool) -> Row:
-    """Returns what rows with attempts depend on beside their search."""
-    return {"physics": physics_hash() if attempts else None}
+    outcome = str(attempt_grasp(truth, grasp).outcome)
+    return {"weighed": float(grasps.value[0]), "outcome": outcome, **(pose_errors(truth, grasp) or NO_ERRORS)}
 
 
 def best(cases: Sequence[C], rows: Sequence[Row]) -> C:
@@ -222,6 +239,11 @@ def best(cases: Sequence[C], rows: Sequence[Row]) -> C:
 def on_edge(cases: Sequence[C], rows: Sequence[Row]) -> str:
     """Returns a remark where the best of cases, in the order of what is tuned, is the first or the last."""
     return ", at the edge of its grid" if best(cases, rows) in (cases[0], cases[-1]) else ""
+
+
+def print_comparison(rows: Sequence[Row]) -> None:
+    """Prints all tables of rows with attempts."""
+    print(format_tables([table(rows) for table in (climbs_table, attempts_table, differences_table)]), end="")
 
 
 def climbs_table(rows: Sequence[Row]) -> Table:

@@ -21,8 +21,9 @@ from pathlib import Path
 
 import comparison
 import torch
-from comparison import REPORTED_SEED, TUNING_SEED, Row, Seen
+from comparison import REPORTED_SEED, Row, Seen
 from jsonargparse import auto_cli
+from search import TUNING_SEED
 from torch import Tensor
 
 from nerfgrasp import registry
@@ -96,7 +97,8 @@ def tune(
         seed: of the scenes; not the reported one.
         workers: processes; one a core if not given.
     """
-    run = partial(_run, out, scenes, candidates, model, seed, workers, False)
+    setting = {"model": model, "seed": seed, "candidates": candidates}
+    run = partial(comparison.run, measure, attempts=False, out=out, scenes=scenes, workers=workers, **setting)
     middle = ORIENTATION_RATES[len(ORIENTATION_RATES) // 2]
     positions = [Case("quaternion", (rate, middle)) for rate in POSITION_RATES]
     rows = run(positions)
@@ -134,9 +136,10 @@ def compare(
         workers: processes; one a core if not given.
     """
     cases = [Case(name, tuple(rates[name])) for name in registered(tuple(rates))]
-    rows = _run(out, scenes, candidates, model, seed, workers, True, cases)
-    tables = (comparison.climbs_table, comparison.attempts_table, comparison.differences_table)
-    print(format_tables([table(rows) for table in tables]), end="")
+    setting = {"model": model, "seed": seed, "candidates": candidates}
+    comparison.print_comparison(
+        comparison.run(measure, cases, attempts=True, out=out, scenes=scenes, workers=workers, **setting)
+    )
 
 
 def registered(names: Sequence[str]) -> list[str]:
@@ -148,7 +151,7 @@ def registered(names: Sequence[str]) -> list[str]:
     return [name for name in names if name.removesuffix(JOINT) in found]
 
 
-def measure(model: str, seed: int, candidates: int, attempts: bool, scene: int, cases: Sequence[Case]) -> list[Row]:
+def measure(scene: int, cases: Sequence[Case], *, model: str, seed: int, attempts: bool, candidates: int) -> list[Row]:
     """Returns the rows of one scene: all cases climb from the same starts."""
     seen = comparison.look(model, seed, scene)
     start = starts(seen, candidates)
@@ -184,24 +187,7 @@ def climb(seen: Seen, start: Tensor, case: Case, attempts: bool) -> Row:
     row = {**comparison.climb_measures(trace), "evaluations": spent.evaluations}
     if not attempts:
         return row
-    added = Feasibility()(model, features, grasps.T_world_grasp, box)
-    weighed = best_first(grasps.T_world_grasp, grasps.value + added)
-    return row | comparison.attempt_measures(seen.truth, weighed)
-
-
-def _run(
-    out: Path,
-    scenes: int,
-    candidates: int,
-    model: str,
-    seed: int,
-    workers: int | None,
-    attempts: bool,
-    cases: Sequence[Case],
-) -> list[Row]:
-    settings = {"model": model, "seed": seed, "candidates": candidates, **comparison.attempt_settings(attempts)}
-    job = partial(measure, model, seed, candidates, attempts)
-    return comparison.compare(job, cases, settings, out=out, scenes=scenes, workers=workers)
+    return row | comparison.attempt_measures(seen.truth, seen.psi.weigh(grasps, seen.scene, Feasibility()))
 
 
 if __name__ == "__main__":

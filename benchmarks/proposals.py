@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 from search import observe
 from torch import Tensor
 
-from nerfgrasp.evaluation.trials import proposal_generator
-from nerfgrasp.scenes.oracle import grasp_errors, valid_grasps
+from nerfgrasp.evaluation.trials import pose_errors, proposal_generator
 from nerfgrasp.scenes.scene import Grasps, Truth
 from nerfgrasp.search.feasibility import Feasibility
 from nerfgrasp.search.psi import ObservedScene, Psi
@@ -17,6 +16,8 @@ from nerfgrasp.sim.tasks import workspace
 
 ALONE = replace(GUIDED, feasibility=None)
 """The default search, judged by Ψ alone."""
+NO_ERRORS = {"distance_mm": None, "angle_deg": None}
+"""Where there is no grasp, or no valid one to hold it against."""
 
 
 class Proposals(NamedTuple):
@@ -49,11 +50,6 @@ def succeeds(truth: Truth, T_world_grasp: Tensor) -> bool:
 def tried(truth: Truth, grasps: Grasps) -> dict[str, Any]:
     """Carries the best of some grasps out; returns whether it succeeds, and its errors to the nearest valid grasp."""
     if len(grasps) == 0:
-        return {"success": False, "distance_mm": None, "angle_deg": None}
+        return {"success": False, **NO_ERRORS}
     best = grasps.T_world_grasp[0]
-    distance, angle = grasp_errors(best, valid_grasps(truth.objects))
-    return {
-        "success": succeeds(truth, best),
-        "distance_mm": 1000 * float(distance),
-        "angle_deg": float(angle.rad2deg()),
-    }
+    return {"success": succeeds(truth, best), **(pose_errors(truth, best) or NO_ERRORS)}

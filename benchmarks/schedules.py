@@ -16,12 +16,12 @@ A killed run goes on where the same command is given again; a finished one print
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import comparison
-from comparison import REPORTED_SEED, TUNING_SEED, Row
+from comparison import REPORTED_SEED, Row
 from jsonargparse import auto_cli
+from search import TUNING_SEED
 
 from nerfgrasp.errors import unknown_name
 from nerfgrasp.evaluation.tables import format_tables
@@ -93,7 +93,8 @@ def tune(
     grids = [[Case(name, rate) for rate in RATES] for name in TUNED]
     # The first beside them shows whether they spend as much.
     cases = [Case(next(iter(STRATEGIES))), *(case for grid in grids for case in grid)]
-    rows = _run(out, scenes, spacing, model, seed, workers, False, cases)
+    setting = {"model": model, "seed": seed, "spacing": spacing}
+    rows = comparison.run(measure, cases, attempts=False, out=out, scenes=scenes, workers=workers, **setting)
     print(format_tables([comparison.climbs_table(rows)]))
     for grid in grids:
         print(f"{comparison.best(grid, rows).label}{comparison.on_edge(grid, rows)}")
@@ -125,13 +126,15 @@ def compare(
     for name in rates:
         if name not in STRATEGIES:
             raise unknown_name("schedule", name, STRATEGIES)
-    rows = _run(out, scenes, spacing, model, seed, workers, True, [Case(name, rates.get(name)) for name in STRATEGIES])
-    tables = (comparison.climbs_table, comparison.attempts_table, comparison.differences_table)
-    print(format_tables([table(rows) for table in tables]), end="")
+    cases = [Case(name, rates.get(name)) for name in STRATEGIES]
+    setting = {"model": model, "seed": seed, "spacing": spacing}
+    comparison.print_comparison(
+        comparison.run(measure, cases, attempts=True, out=out, scenes=scenes, workers=workers, **setting)
+    )
 
 
 def measure(
-    spacing: float | None, model: str, seed: int, attempts: bool, scene: int, cases: Sequence[Case]
+    scene: int, cases: Sequence[Case], *, model: str, seed: int, attempts: bool, spacing: float | None
 ) -> list[Row]:
     """Returns the rows of one scene: all searches draw from the same random stream, that of `nerfgrasp evaluate`."""
     seen = comparison.look(model, seed, scene)
@@ -145,21 +148,6 @@ def measure(
         row = {**comparison.climb_measures(trace), "evaluations": spent.evaluations}
         rows.append(row | (comparison.attempt_measures(seen.truth, grasps) if attempts else {}))
     return rows
-
-
-def _run(
-    out: Path,
-    scenes: int,
-    spacing: float | None,
-    model: str,
-    seed: int,
-    workers: int | None,
-    attempts: bool,
-    cases: Sequence[Case],
-) -> list[Row]:
-    settings = {"model": model, "seed": seed, "spacing": spacing, **comparison.attempt_settings(attempts)}
-    job = partial(measure, spacing, model, seed, attempts)
-    return comparison.compare(job, cases, settings, out=out, scenes=scenes, workers=workers)
 
 
 if __name__ == "__main__":

@@ -154,7 +154,7 @@ def _try(trials: Trials, method: Method, truth: Truth, number: int, failed: list
         object=attempt.object,
         lifted_mm=1000 * attempt.lifted,
         dropped=attempt.dropped,
-        errors=_errors(truth, grasp),
+        errors=None if grasp is None else pose_errors(truth, recorded_pose(grasp)),
         versions=versions(),
         schedule=trials.schedule,
     )
@@ -206,11 +206,14 @@ def _carry_out(truth: Truth, grasp: dict[str, list[float]] | None) -> Attempt:
     return attempt_grasp(truth, recorded_pose(grasp))
 
 
-def _errors(truth: Truth, grasp: dict[str, list[float]] | None) -> dict[str, float] | None:
-    """Returns the errors to the nearest valid grasp; None where one of the objects is no prism, or there is none."""
+def pose_errors(truth: Truth, T_world_grasp: Tensor) -> dict[str, float] | None:
+    """Returns the errors of a grasp `[4, 4]` to the nearest valid one: `distance_mm` and `angle_deg`.
+
+    None where one of the objects is no prism, or there is no valid grasp.
+    """
     prisms = [thing for thing in truth.objects if isinstance(thing, Prism)]
     valid = valid_grasps(prisms)
-    if grasp is None or len(prisms) < len(truth.objects) or len(valid) == 0:
+    if len(prisms) < len(truth.objects) or len(valid) == 0:
         return None
-    distance, angle = grasp_errors(recorded_pose(grasp), valid)
+    distance, angle = grasp_errors(T_world_grasp, valid)
     return {"distance_mm": 1000 * float(distance), "angle_deg": float(torch.rad2deg(angle))}
