@@ -14,9 +14,8 @@ import torch
 from jsonargparse import auto_cli
 from tqdm import tqdm
 
-from nerfgrasp.commands.render import load_backbone
 from nerfgrasp.files import replacing
-from nerfgrasp.models.folder import DEFAULT_MODEL
+from nerfgrasp.models.folder import DEFAULT_MODEL, load_backbone
 from nerfgrasp.models.scores import image_scores
 from nerfgrasp.scenes.images import IMAGE_SIZE
 from nerfgrasp.scenes.scene import Observations

@@ -19,8 +19,7 @@ from nerfgrasp.commands.publishing import publishing
 from nerfgrasp.errors import UserError
 from nerfgrasp.files import write_json
 from nerfgrasp.geometry import Camera, shrink
-from nerfgrasp.models.folder import DEFAULT_MODEL, load_model
-from nerfgrasp.models.grasp_value import GraspValue
+from nerfgrasp.models.folder import DEFAULT_MODEL, load_backbone
 from nerfgrasp.models.mvnerf import MVNeRF
 from nerfgrasp.models.scores import LPIPS_LEAST_SIDE, image_scores, load_lpips
 from nerfgrasp.scenes.folder import read_scene
@@ -104,20 +103,6 @@ def render(
             write_json(results / "render.json", {**header, "note": SCORES_NOTE, "views": rows}, indent=2)
         written = [path.name for path in sorted(results.iterdir())]
     print(f"wrote {', '.join(written)} to {destination}")
-
-
-def load_backbone(name: str) -> MVNeRF:
-    """Reads what renders of a model: an MVNeRF itself, or the backbone of a grasp value.
-
-    Raises:
-        UserError: there is no such model, it is damaged, or it never learned to render.
-    """
-    model = load_model(name)
-    if not isinstance(model, GraspValue):
-        return model
-    if not model.config.renders:
-        raise UserError(f"model {name} never learned to render: it was trained on grasps alone, without a backbone")
-    return model.backbone
 
 
 def table(scores: Mapping[int, Scores]) -> list[str]:

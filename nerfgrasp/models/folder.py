@@ -85,9 +85,17 @@ def load_stored(name: str | Path, *modules: type[Stored]) -> Stored:
 
 
 def load_backbone(name: str | Path) -> MVNeRF:
-    """Reads an MVNeRF as `load_model` does; of a grasp value, the one that it stands on."""
+    """Reads an MVNeRF as `load_model` does; of a grasp value, the one that it stands on.
+
+    Raises:
+        UserError: there is no such model, it is damaged, or it never learned to render.
+    """
     model = load_model(name)
-    return model if isinstance(model, MVNeRF) else model.backbone
+    if isinstance(model, MVNeRF):
+        return model
+    if not model.config.renders:
+        raise UserError(f"model {name} never learned to render: it was trained on grasps alone, without a backbone")
+    return model.backbone
 
 
 def find_model(name: str) -> Path:

@@ -44,7 +44,7 @@ def test_every_method_from_its_data_to_its_trials(stages: Callable[..., dict[str
     assert all(order.index(need) < order.index(stage.name) for stage in found.values() for need in stage.needs)
     data = "generate --scenes 512 --views 8 --seed 1 --task simple --size 192 --demonstrations true --out data/grasps"
     assert set(data.split()) <= set(found["data-grasps"].command)
-    trial = "evaluate --task novel --method runs/mv3_grasp-laptop/model --scenes 180 --seed 100 --size 192"
+    trial = "evaluate --task novel --method runs/mv3_grasp-laptop/model --scenes 180 --seed 200 --size 192"
     trial += " --objects /ycb --out results/novel-mv3.jsonl"
     assert found["novel-mv3"].command == tuple(trial.split())
     assert found["report"].command[1:5] == (

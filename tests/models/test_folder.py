@@ -13,7 +13,7 @@ from torch import nn
 from nerfgrasp.errors import UserError
 from nerfgrasp.models import FieldConfig, GraspValue, GraspValueConfig, MVNeRF, MVNeRFConfig
 from nerfgrasp.models import folder as module
-from nerfgrasp.models.folder import find_model, from_plain, load_model, save_model, weights_hash
+from nerfgrasp.models.folder import find_model, from_plain, load_backbone, load_model, save_model, weights_hash
 
 
 @pytest.fixture
@@ -45,6 +45,13 @@ def test_a_grasp_value_comes_back_with_its_backbone(tiny_network: Callable[..., 
     assert again.config == model.config
     assert weights_hash(again) == weights_hash(model)
     assert json.loads((tmp_path / "a" / "b" / "config.json").read_text())["method"] == "psi"
+
+
+def test_what_learned_nothing_of_scenes_is_no_backbone(tiny_network: Callable[..., Any], tmp_path: Path) -> None:
+    value = GraspValue(GraspValueConfig(backbone=tiny_network(), renders=False))
+    save_model(tmp_path / "no3", value)
+    with pytest.raises(UserError, match=r"no3 never learned to render: it was trained on grasps alone"):
+        load_backbone(tmp_path / "no3")
 
 
 def test_half_precision_on_disk(network: MVNeRF, saved: Path, tmp_path: Path) -> None:
