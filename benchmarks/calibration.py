@@ -23,7 +23,6 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +30,7 @@ import torch
 from joblib import Parallel, cpu_count, delayed
 from jsonargparse import auto_cli
 from matplotlib.figure import Figure
-from proposals import Proposals, observed, propose, succeeds
+from proposals import Proposals, load, observed, propose, succeeds
 from search import TUNING_SEED
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
@@ -41,7 +40,6 @@ from tqdm import tqdm
 from nerfgrasp.allocator import keep_freed_memory
 from nerfgrasp.evaluation.statistics import wilson_interval
 from nerfgrasp.scenes.scene import Truth
-from nerfgrasp.search.psi import Psi
 from nerfgrasp.sim.sanity import perturbed_grasp
 from nerfgrasp.sim.shapes import box
 from nerfgrasp.sim.tasks import find_task, scene_generator
@@ -117,12 +115,6 @@ def scene_row(models: Sequence[str], index: int, proposals: int, perturbed: int)
         success = [succeeds(truth, pose) for pose in tried] + outcomes
         row["models"][name] = {"proposed": len(tried), "values": values, "success": success, "best": best}
     return row
-
-
-@lru_cache(maxsize=2)
-def load(model: str) -> Psi:
-    """Returns a model with its search, read once a process."""
-    return Psi.from_pretrained(model)
 
 
 def too_wide_scene(index: int) -> Truth:

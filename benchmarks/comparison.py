@@ -9,14 +9,14 @@ import statistics
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 from unittest.mock import patch
 
 import numpy as np
 import torch
-from proposals import NO_ERRORS, observed
+from proposals import NO_ERRORS, load, observed
 from torch import Tensor
 
 from nerfgrasp.errors import UserError
@@ -186,13 +186,8 @@ def read_rows(out: Path, settings: Row) -> list[Row]:
 
 def look(model: str, seed: int, index: int) -> Seen:
     """Renders a scene as `nerfgrasp evaluate` does, and encodes its images."""
-    truth, psi = find_task("simple").draw(seed, index), _psi(model)
+    truth, psi = find_task("simple").draw(seed, index), load(model)
     return Seen(truth, psi, observed(psi, truth))
-
-
-@lru_cache(maxsize=1)
-def _psi(model: str) -> Psi:
-    return Psi.from_pretrained(model)
 
 
 @contextmanager

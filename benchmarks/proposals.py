@@ -1,6 +1,7 @@
 """What a search proposes in a scene, judged by Ψ alone and with feasibility, and what becomes of it in physics."""
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 from search import observe
@@ -27,6 +28,15 @@ class Proposals(NamedTuple):
     """By Ψ alone."""
     weighed: Grasps
     """The same by Ψ and feasibility together; as they are where the model's density means nothing."""
+
+
+@lru_cache(maxsize=2)
+def load(model: str) -> Psi:
+    """Returns a model with its search, read once a process.
+
+    It stands here because worker processes do not find what is cached in a script itself.
+    """
+    return Psi.from_pretrained(model)
 
 
 def observed(method: Psi, truth: Truth) -> ObservedScene:
