@@ -27,7 +27,7 @@ class Proposals(NamedTuple):
     alone: Grasps
     """By Ψ alone."""
     weighed: Grasps
-    """The same by Ψ and feasibility together; as they are where the model's density means nothing."""
+    """The same by Ψ and feasibility together, the best polished; as they are if the model's density means nothing."""
 
 
 @lru_cache(maxsize=2)
@@ -48,8 +48,10 @@ def propose(method: Psi, scene: ObservedScene, truth: Truth) -> Proposals:
     """Searches a scene once, with the draws of an evaluation's first attempt."""
     generator = proposal_generator(truth.seed, truth.index, 0)
     alone, _ = method.search(scene, generator=generator, strategy=ALONE)
-    weighed = method.weigh(alone, scene, Feasibility()) if method.model.config.renders else alone
-    return Proposals(alone, weighed)
+    if not method.model.config.renders:
+        return Proposals(alone, alone)
+    weighed = method.weigh(alone, scene, Feasibility())
+    return Proposals(alone, method.polish(weighed, scene, GUIDED, generator))
 
 
 def succeeds(truth: Truth, T_world_grasp: Tensor) -> bool:

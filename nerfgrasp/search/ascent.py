@@ -9,7 +9,7 @@ from torch import Tensor
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.scenes.scene import Grasps, Workspace
-from nerfgrasp.search.candidates import random_candidates, scatter
+from nerfgrasp.search.candidates import random_candidates, resample
 from nerfgrasp.search.climb import Climb, Projection, Value
 from nerfgrasp.search.limits import Limits
 from nerfgrasp.search.ranking import best_first, distinct
@@ -89,9 +89,6 @@ def search(
 ) -> tuple[Grasps, Trace]:
     """Draws random candidates, resamples around the best of them, and lets these climb.
 
-    In each round of resampling every candidate gives way to the best of its own copies, not to another's: so they
-    stay on as many objects as they were.
-
     Args:
         value: the function to climb.
         pose: the parameterization to climb in.
@@ -99,7 +96,7 @@ def search(
         candidates: how many random poses to draw.
         generator: the only source of randomness.
         keep: how many of them go on; None for all, which is the paper's way.
-        rounds: how those are resampled.
+        rounds: how those are resampled, see `resample`.
         climbers: how many of those, different ones, climb in the end; None for all.
         schedule: phases of steps.
         limits: see `ascend`.
@@ -115,18 +112,19 @@ def search(
     if limits is not None:
         limits.check_room(workspace)
     start = draw(candidates, workspace, generator, math.pi if limits is None else limits.max_tilt)
-    if keep is not None and keep < candidates:
-        start = _best(value, _permitted(start, workspace, limits), keep, chunk)
-    for resampling in rounds:
-        copies = scatter(start, resampling.copies, resampling.distance, resampling.angle, workspace, generator)
-        start = _best_of_each(value, _permitted(copies, workspace, limits), len(start), chunk)
-    if climbers is not None and climbers < len(start):
-        start = distinct(best_first(start, _values(value, start, chunk)), count=climbers).T_world_grasp
+    if limits is not None:
+        start = limits.enforce(start, workspace)
+    if rounds or (keep is not None and keep < candidates) or (climbers is not None and climbers < candidates):
+        best = best_first(start, _values(value, start, chunk))
+        if len(best) == 0:
+            raise UserError("no candidate has a finite value: the model's weights may be damaged")
+        kept = best.T_world_grasp[:keep], best.value[:keep]
+        start, values = resample(
+            lambda poses, floor: _values(value, poses, chunk), *kept, rounds, workspace, generator, limits
+        )
+        if climbers is not None:
+            start = distinct(best_first(start, values), count=climbers).T_world_grasp
     return ascend(value, start, pose, workspace, schedule, limits=limits, chunk=chunk)
-
-
-def _permitted(poses: Tensor, workspace: Workspace, limits: Limits | None) -> Tensor:
-    return poses if limits is None else limits.enforce(poses, workspace)
 
 
 def _projection(pose: PoseParameterization, workspace: Workspace, limits: Limits | None) -> Projection:
@@ -137,19 +135,6 @@ def _projection(pose: PoseParameterization, workspace: Workspace, limits: Limits
         return inside if limits is None else limits.project(pose, inside, workspace)
 
     return project
-
-
-def _best(value: Value, poses: Tensor, keep: int, chunk: int) -> Tensor:
-    best = best_first(poses, _values(value, poses, chunk)).T_world_grasp[:keep]
-    if len(best) == 0:
-        raise UserError("no candidate has a finite value: the model's weights may be damaged")
-    return best
-
-
-def _best_of_each(value: Value, poses: Tensor, count: int, chunk: int) -> Tensor:
-    """Returns `[count, 4, 4]` the best of every candidate and its copies, which follow each other in turns."""
-    values = _values(value, poses, chunk).nan_to_num(nan=-torch.inf).view(-1, count)
-    return poses.view(-1, count, 4, 4)[values.argmax(dim=0), torch.arange(count, device=poses.device)]
 
 
 @torch.no_grad()

@@ -1,6 +1,7 @@
-"""Where a search starts: random grasp poses in the workspace."""
+"""Where a search starts: random grasp poses in the workspace, and copies around them."""
 
 import math
+from collections.abc import Callable, Sequence
 
 import roma
 import torch
@@ -8,6 +9,12 @@ from torch import Tensor
 
 from nerfgrasp.geometry import make_pose
 from nerfgrasp.scenes.scene import Workspace
+from nerfgrasp.search.limits import Limits
+from nerfgrasp.search.schedule import Round
+
+Judge = Callable[[Tensor, Tensor], Tensor]
+"""Maps `T_world_grasp` `[P, 4, 4]` and a floor of each, `[P]`, to values `[P]`. What a value that lies at or below its
+floor is does not matter, as long as it lies there."""
 
 
 def random_candidates(
@@ -49,11 +56,49 @@ def scatter(
         generator: the only source of randomness.
 
     Returns:
-        `[N + N C, 4, 4]`: the poses themselves, then their copies.
+        `[C, N, 4, 4]`.
     """
     shape = (copies, len(T_world_grasp), 3)
     drawn = [torch.randn(shape, generator=generator, device=generator.device).to(T_world_grasp) for _ in range(2)]
     turn = torch.randn(shape[:2], generator=generator, device=generator.device).to(T_world_grasp)[..., None] * angle
     rotation = roma.rotvec_to_rotmat(torch.nn.functional.normalize(drawn[1], dim=-1) * turn)
     position = (T_world_grasp[:, :3, 3] + distance * drawn[0]).clamp(workspace.minimum, workspace.maximum)
-    return torch.cat([T_world_grasp, make_pose(T_world_grasp[:, :3, :3] @ rotation, position).flatten(0, 1)])
+    return make_pose(T_world_grasp[:, :3, :3] @ rotation, position)
+
+
+@torch.no_grad()
+def resample(
+    judge: Judge,
+    T_world_grasp: Tensor,
+    value: Tensor,
+    rounds: Sequence[Round],
+    workspace: Workspace,
+    generator: torch.Generator,
+    limits: Limits | None = None,
+) -> tuple[Tensor, Tensor]:
+    """Lets poses give way to better ones nearby.
+
+    In each round every pose is surrounded by copies, and the best of them takes its place if it is better; another's
+    copies never do. So poses stay on as many objects as they were.
+
+    Args:
+        judge: what is to rise. The floor that it is given is the value of the pose that a copy surrounds.
+        T_world_grasp: `[N, 4, 4]`.
+        value: `[N]`, of those; none is NaN.
+        rounds: how many copies, and how far away.
+        workspace: into which positions are clipped.
+        generator: the only source of randomness.
+        limits: what copies keep to; None for the workspace alone.
+
+    Returns:
+        The poses and values that are left, in the same order.
+    """
+    for one in rounds:
+        copies = scatter(T_world_grasp, one.copies, one.distance, one.angle, workspace, generator).flatten(0, 1)
+        if limits is not None:
+            copies = limits.enforce(copies, workspace)
+        found = judge(copies, value.repeat(one.copies)).nan_to_num(nan=-torch.inf)
+        poses = torch.cat([T_world_grasp, copies]).unflatten(0, (-1, len(value)))
+        values, best = torch.cat([value, found]).unflatten(0, (-1, len(value))).max(dim=0)
+        T_world_grasp, value = poses[best, torch.arange(len(value), device=value.device)], values
+    return T_world_grasp, value

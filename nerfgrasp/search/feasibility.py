@@ -42,7 +42,14 @@ class Feasibility:
     """How much each of the two faces takes at a slant of 45° across the pad."""
 
     @torch.no_grad()
-    def __call__(self, model: GraspValue, features: SceneFeatures, T_world_grasp: Tensor, box: Workspace) -> Tensor:
+    def __call__(
+        self,
+        model: GraspValue,
+        features: SceneFeatures,
+        T_world_grasp: Tensor,
+        box: Workspace,
+        least: Tensor | None = None,
+    ) -> Tensor:
         """Returns what is to be added to the values `[P]` of grasps `[P, 4, 4]`: zero is best.
 
         Args:
@@ -50,20 +57,22 @@ class Feasibility:
             features: of the scene, from `model.observe`.
             T_world_grasp: the grasps.
             box: the workspace; its lower face is the table, outside of it nothing counts.
+            least: `[P]`, what a grasp must have more of to be of use. Where the way alone takes so much that it has
+                not, the gap is left out.
         """
-        fingers, palm, gap = (
-            self._optical_depths(model, features, T_world_grasp, box, *lines, samples)
-            for lines, samples in (
-                (self.finger_lines(), _WAY_SAMPLES),
-                (self.palm_lines(), _WAY_SAMPLES),
-                (self.gap_lines(), _GAP_SAMPLES),
-            )
-        )
-        free = [1 - opacity(ways).amax(dim=1) for ways in (fingers, palm)]
-        filled = opacity(gap)
-        chances = [self.free * _log(chance) for chance in free] + [self.gap * _log(filled.mean(dim=1))]
-        slants = sum(self._slant(side, filled).abs() for side in (gap, gap.flip(-1)))
-        return torch.stack(chances).sum(dim=0) - self.slant * slants
+
+        def met(T: Tensor, lines: tuple[Tensor, Tensor], samples: int) -> Tensor:
+            return self._optical_depths(model, features, T, box, *lines, samples)
+
+        ways = [met(T_world_grasp, lines, _WAY_SAMPLES) for lines in (self.finger_lines(), self.palm_lines())]
+        added = torch.stack([self.free * _log(1 - opacity(way).amax(dim=1)) for way in ways]).sum(dim=0)
+        useful = torch.ones_like(added, dtype=torch.bool) if least is None else added > least
+        if bool(useful.any()):
+            gap = met(T_world_grasp[useful], self.gap_lines(), _GAP_SAMPLES)
+            filled = opacity(gap)
+            slants = sum(self._slant(side, filled).abs() for side in (gap, gap.flip(-1)))
+            added[useful] += self.gap * _log(filled.mean(dim=1)) - self.slant * slants
+        return added
 
     def finger_lines(self) -> tuple[Tensor, Tensor]:
         """Returns the lines `[L, 3]` (start, vector) that points of the open fingertips draw on their way."""

@@ -6,6 +6,7 @@ from functools import partial
 from typing import ClassVar
 
 import torch
+from torch import Tensor
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import sees_box
@@ -14,7 +15,7 @@ from nerfgrasp.models.grasp_value import GraspValue
 from nerfgrasp.models.mvnerf import SceneFeatures
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.search.ascent import Draw, Trace, search
-from nerfgrasp.search.candidates import random_candidates
+from nerfgrasp.search.candidates import random_candidates, resample
 from nerfgrasp.search.devices import find_device
 from nerfgrasp.search.feasibility import Feasibility
 from nerfgrasp.search.occupancy import occupied_candidates
@@ -156,7 +157,7 @@ class Psi:
             limits=how.limits,
             chunk=self.chunk,
         )
-        return self._weighed(climbed, scene, how), trace
+        return self._weighed(climbed, scene, how, generator), trace
 
     def propose(
         self, observations: Observations, workspace: Workspace, *, generator: torch.Generator, count: int = 1
@@ -177,12 +178,44 @@ class Psi:
         added = [feasibility(self.model, scene.features, T, scene.workspace) for T in parts]
         return best_first(grasps.T_world_grasp, grasps.value + torch.cat(added))
 
+    def polish(self, grasps: Grasps, scene: ObservedScene, strategy: Strategy, generator: torch.Generator) -> Grasps:
+        """Returns weighed grasps, the best of them moved to where value and feasibility together are higher.
+
+        After each round the better half of those goes on.
+
+        Args:
+            grasps: what `weigh` returned.
+            scene: in which they lie.
+            strategy: tells how many are moved, how, within which limits, and what is added to values.
+            generator: the only source of randomness.
+        """
+        if strategy.feasibility is None:
+            return grasps
+        judge, count = partial(self._judge, scene, strategy.feasibility), strategy.polished
+        for one in strategy.polish:
+            T, value = grasps.T_world_grasp.clone(), grasps.value.clone()
+            T[:count], value[:count] = resample(
+                judge, T[:count], value[:count], (one,), scene.workspace, generator, strategy.limits
+            )
+            grasps, count = best_first(T, value), (count + 1) // 2
+        return grasps
+
     def _draw(self, scene: ObservedScene, spacing: float | None) -> Draw:
         if spacing is None:
             return random_candidates
         return partial(occupied_candidates, model=self.model, features=scene.features, spacing=spacing)
 
-    def _weighed(self, grasps: Grasps, scene: ObservedScene, how: Strategy) -> Grasps:
+    def _weighed(self, grasps: Grasps, scene: ObservedScene, how: Strategy, generator: torch.Generator) -> Grasps:
         if how.weighed is not None:
             grasps = distinct(grasps, _DISTANCE, _ANGLE, how.weighed)
-        return grasps if how.feasibility is None else self.weigh(grasps, scene, how.feasibility)
+        if how.feasibility is None:
+            return grasps
+        return self.polish(self.weigh(grasps, scene, how.feasibility), scene, how, generator)
+
+    def _judge(self, scene: ObservedScene, feasibility: Feasibility, T_world_grasp: Tensor, floor: Tensor) -> Tensor:
+        """Returns values and feasibility together `[P]`; what is added is never positive, so who is low stays low."""
+        value = torch.cat([self.model.value(scene.features, T) for T in T_world_grasp.split(self.chunk)])
+        for part in torch.nonzero(value > floor)[:, 0].split(_CHECKED):
+            least = floor[part] - value[part]
+            value[part] += feasibility(self.model, scene.features, T_world_grasp[part], scene.workspace, least)
+        return value

@@ -130,7 +130,7 @@ HALVING = Schedule(
 
 @dataclass(frozen=True)
 class Round:
-    """A round of resampling before the climb: the best poses are surrounded by copies, and the best of all stay."""
+    """A round of resampling: each pose is surrounded by copies, and gives way to the best of them."""
 
     copies: int
     """Copies of each pose."""
@@ -148,6 +148,9 @@ CLIMB = Schedule((Phase(groups=("position", "orientation"), steps=16, learning_r
 
 FEW_ROUNDS = (Round(6, 0.02, 0.8), Round(6, 0.012, 0.4), Round(6, 0.006, 0.2))
 """As `ROUNDS`, from candidates that lie on objects."""
+
+POLISH = (Round(6, 0.008, 0.2), Round(6, 0.005, 0.12), Round(6, 0.003, 0.08))
+"""Around grasps that have climbed: small moves that give the hand room."""
 
 SHORT_CLIMB = Schedule((Phase(groups=("position", "orientation"), steps=12, learning_rate=0.004, decay=0.82),))
 """As `CLIMB`, shorter."""

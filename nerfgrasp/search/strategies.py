@@ -7,7 +7,18 @@ from typing import Any
 from nerfgrasp.errors import UserError, unknown_name
 from nerfgrasp.search.feasibility import Feasibility
 from nerfgrasp.search.limits import Limits
-from nerfgrasp.search.schedule import CLIMB, FEW_ROUNDS, HALVING, JOINT, PAPER, ROUNDS, SHORT_CLIMB, Round, Schedule
+from nerfgrasp.search.schedule import (
+    CLIMB,
+    FEW_ROUNDS,
+    HALVING,
+    JOINT,
+    PAPER,
+    POLISH,
+    ROUNDS,
+    SHORT_CLIMB,
+    Round,
+    Schedule,
+)
 
 
 @dataclass(frozen=True)
@@ -35,6 +46,10 @@ class Strategy:
     """What is added to the values of the grasps found; None lets Ψ alone judge."""
     weighed: int | None = None
     """How many of those, different ones and the best by value, are weighed so and returned; None for all."""
+    polish: tuple[Round, ...] = POLISH
+    """How the best of those are resampled by value and feasibility together, the better half of them again."""
+    polished: int = 12
+    """How many of them in the first round."""
 
     def __post_init__(self) -> None:
         """Checks the numbers; one out of its range is a UserError."""

@@ -85,6 +85,26 @@ def test_neither_the_table_nor_what_is_outside_of_the_workspace_counts():
     assert weigh(Boxes(shifted, outside), top_down(x=0.22)) == pytest.approx(0.0, abs=0.01)
 
 
+def test_the_gap_is_left_out_where_the_way_alone_takes_too_much() -> None:
+    asked: list[int] = []
+
+    class Counting(Boxes):
+        def density(self, features: Any, points: Tensor, directions: Tensor) -> Tensor:
+            asked.append(len(points))
+            return super().density(features, points, directions)
+
+    poses = torch.stack([top_down(), top_down(x=0.03), top_down(y=0.1)])  # fine, a finger on the bar, nothing grasped
+    field, feasibility = cast(GraspValue, Counting(BAR)), Feasibility()
+    whole = feasibility(field, NOTHING, poses, WORKSPACE)
+    of_ways, of_gaps = asked[:2], asked[2]
+    asked.clear()
+    least = torch.full((3,), -5.0)
+    found = feasibility(field, NOTHING, poses, WORKSPACE, least)
+    assert asked == [*of_ways, of_gaps * 2 // 3]
+    assert torch.equal(found[[0, 2]], whole[[0, 2]])
+    assert whole[1] <= found[1] <= least[1]
+
+
 def test_faces_that_slant_across_the_pads_cost_their_slope() -> None:
     gap = torch.zeros(1, 3, 3, 40)
     for row, piece in enumerate((8, 11, 14)):  # across the pad, each row meets a wall three pieces farther

@@ -130,4 +130,4 @@ def test_keeping_all_resamples_all(workspace: Workspace) -> None:
     pose = registry.load(registry.POSES, "quaternion")()
     generator = torch.Generator().manual_seed(0)
     search(counted, pose, workspace, candidates=4, rounds=strategy.rounds, schedule=strategy.climb, generator=generator)
-    assert asked[: len(strategy.rounds)] == [4 * (resampling.copies + 1) for resampling in strategy.rounds]
+    assert asked[: 1 + len(strategy.rounds)] == [4, *(4 * resampling.copies for resampling in strategy.rounds)]
