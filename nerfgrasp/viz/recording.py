@@ -13,6 +13,7 @@ from torch import Tensor
 from nerfgrasp.geometry import Camera
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.search.ascent import Trace
+from nerfgrasp.search.ranking import alike, grasp_angle
 from nerfgrasp.viz.gripper import gripper_strip
 from nerfgrasp.viz.renderings import RenderedView, grey_outside
 
@@ -20,6 +21,8 @@ TIMELINE = "iteration"
 FRAMES = "frame"
 """The timeline of an orbit."""
 MOST_CANDIDATES = 256
+_LEVER = 0.05
+"""Metres from the tool centre point at which a turn counts as much as a shift."""
 _WINNER, _BOX = (255, 106, 19), (150, 150, 160)
 _CURVES = {"winner": _WINNER, "best": (225, 185, 60), "median": (90, 130, 220)}
 """Of the candidate that became the result, and over all candidates at each iteration."""
@@ -155,9 +158,14 @@ def _bytes(image: Tensor) -> NDArray[np.uint8]:
 
 
 def _winner(trace: Trace, grasps: Grasps) -> int | None:
-    """The number of the candidate that ended as the best grasp; None if it was moved after its climb."""
-    same = torch.isclose(trace.T_world_grasp[-1], grasps.T_world_grasp[0], atol=1e-6).flatten(1).all(dim=1)
-    return int(same.byte().argmax()) if bool(same.any()) else None
+    """The number of the candidate that ended nearest to the best grasp; None if none ended nearly there.
+
+    What is polished after the climb moves on a little.
+    """
+    ends, best = trace.T_world_grasp[-1], grasps.T_world_grasp[0]
+    moved = (ends[:, :3, 3] - best[:3, 3]).norm(dim=-1) + _LEVER * grasp_angle(ends[:, :3, :3], best[:3, :3])
+    nearest = int(moved.argmin())
+    return nearest if bool(alike(ends[nearest], best)) else None
 
 
 def _log_trace(recording: rr.RecordingStream, trace: Trace, winner: int | None) -> None:

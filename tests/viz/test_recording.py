@@ -66,6 +66,16 @@ def test_the_candidate_that_became_the_result_is_followed(path: Path, grasps: Gr
     assert fingers[:2].tolist() == pytest.approx(grasps.T_world_grasp[0, :2, 3].tolist(), abs=1e-6)
 
 
+def test_a_result_that_was_polished_is_followed_to_where_its_climb_ended(
+    tmp_path: Path, observations: Observations, grasps: Grasps
+) -> None:
+    climbed = grasps.T_world_grasp.flip(0).clone()
+    climbed[:, :3, 3] += 0.004
+    trace = Trace(climbed.expand(2, 2, 4, 4), torch.tensor([[0.0, 1.0], [2.0, 3.0]]))
+    recording.record_search(tmp_path / "search.rrd", observations, Workspace(), trace, grasps)
+    assert read(tmp_path / "search.rrd", "/value/winner", "scalars") == [[1.0], [3.0]]
+
+
 def test_a_result_that_is_no_candidate_is_not_followed(
     tmp_path: Path, observations: Observations, grasps: Grasps
 ) -> None:
