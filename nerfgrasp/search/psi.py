@@ -181,7 +181,7 @@ class Psi:
     def polish(self, grasps: Grasps, scene: ObservedScene, strategy: Strategy, generator: torch.Generator) -> Grasps:
         """Returns weighed grasps, the best of them moved to where value and feasibility together are higher.
 
-        After each round the better half of those goes on.
+        After each round the better half of those goes on; where one moves that will not is not looked for.
 
         Args:
             grasps: what `weigh` returned.
@@ -191,13 +191,16 @@ class Psi:
         """
         if strategy.feasibility is None:
             return grasps
-        judge, count = partial(self._judge, scene, strategy.feasibility), strategy.polished
+        count = strategy.polished
         for one in strategy.polish:
             T, value = grasps.T_world_grasp.clone(), grasps.value.clone()
+            goes_on = (count + 1) // 2
+            bar = value[:goes_on].amin()  # values only rise, so who stays below it does not go on
+            judge = partial(self._judge, scene, strategy.feasibility, bar)
             T[:count], value[:count] = resample(
                 judge, T[:count], value[:count], (one,), scene.workspace, generator, strategy.limits
             )
-            grasps, count = best_first(T, value), (count + 1) // 2
+            grasps, count = best_first(T, value), goes_on
         return grasps
 
     def _draw(self, scene: ObservedScene, spacing: float | None) -> Draw:
@@ -212,10 +215,17 @@ class Psi:
             return grasps
         return self.polish(self.weigh(grasps, scene, how.feasibility), scene, how, generator)
 
-    def _judge(self, scene: ObservedScene, feasibility: Feasibility, T_world_grasp: Tensor, floor: Tensor) -> Tensor:
-        """Returns values and feasibility together `[P]`; what is added is never positive, so who is low stays low."""
+    def _judge(
+        self, scene: ObservedScene, feasibility: Feasibility, bar: Tensor, T_world_grasp: Tensor, floor: Tensor
+    ) -> Tensor:
+        """Returns values and feasibility together `[P]`, or −∞ for who is no higher than the floor and the bar.
+
+        What is added is never positive, so who is no higher before need not be weighed.
+        """
         value = torch.cat([self.model.value(scene.features, T) for T in T_world_grasp.split(self.chunk)])
-        for part in torch.nonzero(value > floor)[:, 0].split(_CHECKED):
-            least = floor[part] - value[part]
-            value[part] += feasibility(self.model, scene.features, T_world_grasp[part], scene.workspace, least)
-        return value
+        least = floor.clamp(min=bar)
+        for part in torch.nonzero(value > least)[:, 0].split(_CHECKED):
+            value[part] += feasibility(
+                self.model, scene.features, T_world_grasp[part], scene.workspace, (least - value)[part]
+            )
+        return value.where(value > least, -torch.inf)

@@ -48,7 +48,7 @@ class Strategy:
     """How many of those, different ones and the best by value, are weighed so and returned; None for all."""
     polish: tuple[Round, ...] = POLISH
     """How the best of those are resampled by value and feasibility together, the better half of them again."""
-    polished: int = 12
+    polished: int = 8
     """How many of them in the first round."""
 
     def __post_init__(self) -> None:
