@@ -224,7 +224,8 @@ class Psi:
         """
         value = torch.cat([self.model.value(scene.features, T) for T in T_world_grasp.split(self.chunk)])
         least = floor.clamp(min=bar)
-        for part in torch.nonzero(value > least)[:, 0].split(_CHECKED):
+        worth = torch.nonzero(value > least)[:, 0]
+        for part in worth.split(_CHECKED) if len(worth) else ():
             value[part] += feasibility(
                 self.model, scene.features, T_world_grasp[part], scene.workspace, (least - value)[part]
             )

@@ -37,6 +37,7 @@ class FakeValue(nn.Module):
 
     def density(self, features: Tensor, points: Tensor, directions: Tensor) -> Tensor:
         """A bar at the origin, 30 mm thick."""
+        assert len(points) > 0
         return 1000.0 * ((points[..., :2].abs() < torch.tensor([0.015, 0.04])) & (points[..., 2:] < 0.06)).all(-1)
 
 
@@ -153,6 +154,15 @@ def test_polishing_makes_room_for_the_fingers(method: Psi, workspace: Workspace)
     assert polished.value[0] == pytest.approx(float(again.value[0]), abs=1e-4)
     assert method.polish(found, scene, replace(RESAMPLE, feasibility=None), seeded()) is found
     assert torch.equal(method.polish(found, scene, UNPOLISHED, seeded()).value, found.value)
+
+
+def test_polishing_leaves_the_best_pose_where_it_is(method: Psi, workspace: Workspace) -> None:
+    scene = method.observe(observe(3), workspace)
+    peak = make_pose(torch.diag(torch.tensor([1.0, -1.0, -1.0])), scene.features[None])  # type: ignore[index]
+    found = Grasps(peak, torch.zeros(1))
+    polished = method.polish(found, scene, RESAMPLE, seeded())
+    assert torch.equal(polished.T_world_grasp, peak)
+    assert torch.equal(polished.value, found.value)
 
 
 def test_a_guided_search_starts_where_something_is(
