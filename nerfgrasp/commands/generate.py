@@ -87,6 +87,7 @@ def generate(
         return
     job = partial(write_slot, writer, found)
     run_all(job, writer.missing, scenes, workers=workers, cluster=cluster, describe="generate", unit="scene")
+    writer.clear()  # where a worker was lost, others were killed beside it
     _report(writer)
 
 

@@ -7,6 +7,7 @@ import torch
 
 from nerfgrasp.data.settings import SetSettings, claim_folder, read_settings
 from nerfgrasp.errors import UserError
+from nerfgrasp.files import remove_temporaries
 from nerfgrasp.geometry import Camera
 from nerfgrasp.scenes.folder import read_truth, write_scene
 from nerfgrasp.scenes.scene import Observations, Scene, Truth, Workspace
@@ -57,6 +58,10 @@ class FolderWriter:
         except UserError:
             if not self._path(index).exists():
                 raise
+
+    def clear(self) -> None:
+        """Removes what killed processes left half-written; nobody else may be writing."""
+        remove_temporaries(self.folder)
 
     def truth(self, index: int) -> Truth:
         """Returns what scene `index`, a complete one, is made of."""

@@ -99,13 +99,18 @@ class PackedWriter:
             array.flush()
         write_json(_scene_path(self.folder, index), truth_to_json(truth))
 
+    def clear(self) -> None:
+        """Removes what killed processes left half-written; nobody else may be writing."""
+        for folder in (self.folder, self.folder / "scenes"):
+            remove_temporaries(folder)
+
     def truth(self, index: int) -> Truth:
         """Returns what scene `index`, a complete one, is made of."""
         return _read_truth(self.folder, index)
 
     def _allocate(self) -> None:
         make_folder(self.folder / "scenes")
-        remove_temporaries(self.folder / "scenes")
+        self.clear()
         begun = bool(_complete(self.folder))
         for name, (shape, dtype) in array_layout(self.settings).items():
             if begun or _array_path(self.folder, name).exists():

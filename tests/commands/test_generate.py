@@ -200,6 +200,8 @@ def test_a_lost_worker_is_replaced(unbroken: Path, tmp_path: Path, monkeypatch: 
         import os
 
         if index == 3 and not mark.exists():
+            # The other worker is killed with this one, perhaps while it writes.
+            (writer.folder / "scenes" / f".000004.json.{os.getpid()}.tmp").write_text("{")
             mark.touch()
             os.kill(os.getpid(), 9)
         write_slot(writer, task, index)
