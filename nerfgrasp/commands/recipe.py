@@ -15,7 +15,7 @@ from nerfgrasp.models.folder import shipped_models
 
 Scale = Literal["laptop", "paper"]
 SCENE_SEED = 200
-"""Of the scenes that every method is tried in: no training set has it, and nothing was chosen or looked at in them."""
+"""Of the scenes that every method is tried in: no training set has it, and no setting was chosen in them."""
 SIZES: dict[str, int] = {"laptop": 192, "paper": 480}
 """The pictures' side in pixels, as in training."""
 PROBE = 10

@@ -112,9 +112,8 @@ def search(
     if limits is not None:
         limits.check_room(workspace)
     start = draw(candidates, workspace, generator, math.pi if limits is None else limits.max_tilt)
-    if limits is not None:
-        start = limits.enforce(start, workspace)
     if rounds or (keep is not None and keep < candidates) or (climbers is not None and climbers < candidates):
+        start = start if limits is None else limits.enforce(start, workspace)
         best = best_first(start, _values(value, start, chunk))
         if len(best) == 0:
             raise UserError("no candidate has a finite value: the model's weights may be damaged")

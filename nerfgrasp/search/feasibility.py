@@ -12,6 +12,8 @@ from nerfgrasp.scenes.scene import Workspace
 
 _WAY_SAMPLES, _GAP_SAMPLES = 12, 40
 """Pieces of a line: on the hand's way so that no object falls between two, in the gap enough to see faces slant."""
+_AT_ONCE = 16
+"""Grasps that are weighed at once, which bounds the memory."""
 _TABLE = 0.001
 """Metres above the table below which density is the table's own."""
 _LEAST = 1e-3
@@ -60,13 +62,23 @@ class Feasibility:
             least: `[P]`, what a grasp must have more of to be of use. Where the way alone takes so much that it has
                 not, the gap is left out.
         """
+        if least is None:
+            least = torch.full_like(T_world_grasp[:, 0, 0], -torch.inf)
+        parts = zip(T_world_grasp.split(_AT_ONCE), least.split(_AT_ONCE), strict=True)
+        added = [self._added(model, features, *part, box) for part in parts if len(part[0])]
+        return torch.cat(added) if added else torch.zeros_like(least)
+
+    def _added(
+        self, model: GraspValue, features: SceneFeatures, T_world_grasp: Tensor, least: Tensor, box: Workspace
+    ) -> Tensor:
+        """As `__call__`, of few grasps."""
 
         def met(T: Tensor, lines: tuple[Tensor, Tensor], samples: int) -> Tensor:
             return self._optical_depths(model, features, T, box, *lines, samples)
 
         ways = [met(T_world_grasp, lines, _WAY_SAMPLES) for lines in (self.finger_lines(), self.palm_lines())]
         added = torch.stack([self.free * _log(1 - opacity(way).amax(dim=1)) for way in ways]).sum(dim=0)
-        useful = torch.ones_like(added, dtype=torch.bool) if least is None else added > least
+        useful = added > least
         if bool(useful.any()):
             gap = met(T_world_grasp[useful], self.gap_lines(), _GAP_SAMPLES)
             filled = opacity(gap)

@@ -24,8 +24,6 @@ from nerfgrasp.search.ranking import best_first, distinct
 from nerfgrasp.search.schedule import PoseParameterization
 from nerfgrasp.search.strategies import GUIDED, Strategy, find_strategy
 
-_CHECKED = 16
-"""Grasps whose feasibility is found at once."""
 _DISTANCE, _ANGLE = 0.01, math.radians(15.0)
 """Metres and radians: grasps nearer to a better one in both are not weighed, where not all are."""
 _CHUNK = {"cpu": 64}
@@ -174,14 +172,14 @@ class Psi:
             scene: in which they lie.
             feasibility: what is added to their values.
         """
-        parts = grasps.T_world_grasp.split(_CHECKED)
-        added = [feasibility(self.model, scene.features, T, scene.workspace) for T in parts]
-        return best_first(grasps.T_world_grasp, grasps.value + torch.cat(added))
+        added = feasibility(self.model, scene.features, grasps.T_world_grasp, scene.workspace)
+        return best_first(grasps.T_world_grasp, grasps.value + added)
 
     def polish(self, grasps: Grasps, scene: ObservedScene, strategy: Strategy, generator: torch.Generator) -> Grasps:
         """Returns weighed grasps, the best of them moved to where value and feasibility together are higher.
 
-        After each round the better half of those goes on; where one moves that will not is not looked for.
+        After each round the better half of those goes on. Moves that would not bring a grasp there are not told from
+        those that make it worse.
 
         Args:
             grasps: what `weigh` returned.
@@ -193,14 +191,15 @@ class Psi:
             return grasps
         count = strategy.polished
         for one in strategy.polish:
-            T, value = grasps.T_world_grasp.clone(), grasps.value.clone()
+            T, value = grasps.T_world_grasp, grasps.value
             goes_on = (count + 1) // 2
             bar = value[:goes_on].amin()  # values only rise, so who stays below it does not go on
             judge = partial(self._judge, scene, strategy.feasibility, bar)
-            T[:count], value[:count] = resample(
+            moved, risen = resample(
                 judge, T[:count], value[:count], (one,), scene.workspace, generator, strategy.limits
             )
-            grasps, count = best_first(T, value), goes_on
+            grasps = best_first(torch.cat([moved, T[count:]]), torch.cat([risen, value[count:]]))
+            count = goes_on
         return grasps
 
     def _draw(self, scene: ObservedScene, spacing: float | None) -> Draw:
@@ -224,9 +223,8 @@ class Psi:
         """
         value = torch.cat([self.model.value(scene.features, T) for T in T_world_grasp.split(self.chunk)])
         least = floor.clamp(min=bar)
-        worth = torch.nonzero(value > least)[:, 0]
-        for part in worth.split(_CHECKED) if len(worth) else ():
-            value[part] += feasibility(
-                self.model, scene.features, T_world_grasp[part], scene.workspace, (least - value)[part]
-            )
+        worth = value > least
+        value[worth] += feasibility(
+            self.model, scene.features, T_world_grasp[worth], scene.workspace, (least - value)[worth]
+        )
         return value.where(value > least, -torch.inf)

@@ -53,7 +53,7 @@ class Strategy:
 
     def __post_init__(self) -> None:
         """Checks the numbers; one out of its range is a UserError."""
-        for name, value in (("candidates", self.candidates), ("keep", self.keep)):
+        for name, value in (("candidates", self.candidates), ("keep", self.keep), ("polished", self.polished)):
             if value is not None and value < 1:
                 raise UserError(f"{name} is {value}: it must be at least 1")
 

@@ -105,6 +105,18 @@ def test_the_gap_is_left_out_where_the_way_alone_takes_too_much() -> None:
     assert whole[1] <= found[1] <= least[1]
 
 
+def test_of_no_grasps_nothing_is_asked() -> None:
+    none = Feasibility()(cast(GraspValue, None), NOTHING, torch.zeros(0, 4, 4), WORKSPACE)
+    assert none.shape == (0,)
+
+
+def test_many_grasps_are_weighed_as_few_are() -> None:
+    poses = torch.stack([top_down(x=0.002 * i) for i in range(40)])
+    field, feasibility = cast(GraspValue, Boxes(BAR)), Feasibility()
+    one_by_one = [feasibility(field, NOTHING, pose[None], WORKSPACE) for pose in poses]
+    assert torch.allclose(feasibility(field, NOTHING, poses, WORKSPACE), torch.cat(one_by_one), atol=1e-5)
+
+
 def test_faces_that_slant_across_the_pads_cost_their_slope() -> None:
     gap = torch.zeros(1, 3, 3, 40)
     for row, piece in enumerate((8, 11, 14)):  # across the pad, each row meets a wall three pieces farther

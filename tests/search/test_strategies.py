@@ -119,6 +119,11 @@ def test_bad_values_are_told(changes: dict[str, float], message: str) -> None:
         find_strategy(**{"name": "resample", **changes})  # type: ignore[arg-type]
 
 
+def test_none_polished_is_told() -> None:
+    with pytest.raises(UserError, match="polished is 0: it must be at least 1"):
+        replace(find_strategy(), polished=0)
+
+
 def test_keeping_all_resamples_all(workspace: Workspace) -> None:
     strategy = replace(find_strategy("resample", candidates=4), keep=None)
     asked: list[int] = []
