@@ -3,7 +3,7 @@
 import warnings
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from jsonargparse import ActionConfigFile
 from lightning import LightningModule, Trainer
@@ -19,7 +19,8 @@ from nerfgrasp.errors import UserError
 from nerfgrasp.models.folder import save_model
 from nerfgrasp.models.stored import StoredModule
 from nerfgrasp.training.callbacks import ExpectedTime, ExponentialAverage, RayRate, StopOnNotFinite
-from nerfgrasp.training.checkpoints import StepCheckpoint, WholeCheckpoints
+from nerfgrasp.training.checkpoints import BestCheckpoint, StepCheckpoint, WholeCheckpoints
+from nerfgrasp.training.module import ScheduledTraining
 from nerfgrasp.viz.held_out import HeldOutRenders
 
 MODEL_FOLDER = "model"
@@ -38,9 +39,11 @@ class Command(LightningCLI):
     """LightningCLI with a checkpoint callback, data sets made on demand, and a model folder at the end."""
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
-        """Adds the checkpoint callback, configured under `checkpoint`, and the switch for averaged weights."""
+        """Adds the checkpoint callback, configured under `checkpoint`, and what is to become of the weights."""
         what = "decay of an exponential moving average of the weights, which is then the result; e.g. 0.999"
         parser.add_argument("--ema_decay", type=float | None, default=None, help=what)
+        what = "which weights are the result: those of the last step, or those of the best validation"
+        parser.add_argument("--keep", type=Literal["last", "best"], default="last", help=what)
         parser.add_lightning_class_args(StepCheckpoint, "checkpoint")
         # A checkpoint every few minutes, the newest kept: a killed run goes on with --ckpt_path last.
         parser.set_defaults({"checkpoint.every_n_train_steps": 500, "checkpoint.save_last": True})
@@ -63,10 +66,12 @@ class Command(LightningCLI):
             config["checkpoint"]["dirpath"] = str(Path(config["trainer"]["default_root_dir"]) / CHECKPOINT_FOLDER)
 
     def instantiate_trainer(self, **kwargs: Any) -> Trainer:
-        """Builds the trainer, with an average of the weights if the config asks for one."""
-        decay = self.config_init[str(self.subcommand)]["ema_decay"]
-        if decay is not None:
-            self.trainer_defaults["callbacks"].append(ExponentialAverage(decay))
+        """Builds the trainer, with an average of the weights and the best of them if the config asks for it."""
+        config = self.config_init[str(self.subcommand)]
+        if config["ema_decay"] is not None:
+            self.trainer_defaults["callbacks"].append(ExponentialAverage(config["ema_decay"]))
+        if config["keep"] == "best":
+            self.trainer_defaults["callbacks"].append(self._best_checkpoint(config["checkpoint"].dirpath))
         trainer = super().instantiate_trainer(**kwargs)
         if type(trainer.strategy.checkpoint_io) is TorchCheckpointIO:
             trainer.strategy.checkpoint_io = WholeCheckpoints()
@@ -74,6 +79,8 @@ class Command(LightningCLI):
 
     def before_fit(self) -> None:
         """Says what is to come, and makes the data sets that are not there."""
+        if self._best() is not None:
+            _check_validated(self.trainer)
         self._prepare("fit")
 
     def before_validate(self) -> None:
@@ -86,9 +93,21 @@ class Command(LightningCLI):
         """Writes the model folder."""
         if self.trainer.interrupted or not self.trainer.is_global_zero:
             return
+        best = self._best()
+        if best is not None:
+            self.model.load_state_dict(best.weights())
         folder = Path(self.trainer.default_root_dir) / MODEL_FOLDER
         save_model(folder, self.model.network)
-        print(f"the model is in {folder}")
+        which = "" if best is None else f", as it was where {best.monitor} was best ({best.best_model_score:.4g})"
+        print(f"the model is in {folder}{which}")
+
+    def _best_checkpoint(self, folder: str) -> BestCheckpoint:
+        if not isinstance(self.model, ScheduledTraining):
+            raise UserError(f"keep is best, but {type(self.model).__name__} does not say by what measure")
+        return BestCheckpoint(folder, *self.model.best_by)
+
+    def _best(self) -> BestCheckpoint | None:
+        return next((one for one in self.trainer.checkpoint_callbacks if isinstance(one, BestCheckpoint)), None)
 
     def _prepare(self, stage: str) -> None:
         _check_inputs(self.model, self.datamodule)
@@ -160,6 +179,13 @@ def _check_inputs(module: LightningModule, data: Any) -> None:
     asked = getattr(data, "image_size", None)
     if asked not in (None, size):
         raise UserError(f"data.init_args.image_size is {asked}, but the network's is {size}")
+
+
+def _check_validated(trainer: Trainer) -> None:
+    """Refuses a training that ends before its first validation."""
+    interval, steps = trainer.val_check_interval, trainer.max_steps
+    if isinstance(interval, int) and interval > steps > 0:
+        raise UserError(f"keep is best, but trainer.val_check_interval ({interval}) is more than max_steps ({steps})")
 
 
 def _user_mistake(error: BaseException | None) -> UserError | None:

@@ -2,12 +2,13 @@
 
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from lightning import LightningModule, Trainer
 from lightning.pytorch.callbacks import ModelCheckpoint
 from lightning.pytorch.plugins.io import TorchCheckpointIO
+from torch import Tensor
 
 from nerfgrasp.files import make_folder, remove_temporaries, replacing
 
@@ -46,3 +47,29 @@ class StepCheckpoint(ModelCheckpoint):
         """Saves after the last batch of a step, if it is time."""
         if (batch_idx + 1) % trainer.accumulate_grad_batches == 0:
             super().on_train_batch_end(trainer, pl_module, outputs, batch, batch_idx)
+
+
+class BestCheckpoint(ModelCheckpoint):
+    """Keeps `best.ckpt`, of the validation with the best measure.
+
+    Args:
+        dirpath: the folder.
+        measure: as it is logged, e.g. `val/loss`.
+        mode: whether the least or the most of it is best.
+    """
+
+    def __init__(self, dirpath: Path | str | None, measure: str, mode: Literal["min", "max"]) -> None:
+        super().__init__(
+            dirpath,
+            filename="best",
+            monitor=measure,
+            mode=mode,
+            save_on_train_epoch_end=False,
+            enable_version_counter=False,
+        )
+
+    def weights(self) -> dict[str, Tensor]:
+        """Returns what the module's `load_state_dict` takes."""
+        checkpoint = torch.load(self.best_model_path, map_location="cpu", weights_only=True)
+        weights: dict[str, Tensor] = checkpoint["state_dict"]
+        return weights

@@ -1,7 +1,7 @@
 """What the trainings share: scores over held-out scenes, and Adam under a schedule."""
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 import torch
 from lightning import LightningModule
@@ -20,6 +20,9 @@ class ScheduledTraining(LightningModule):
         schedule: how the learning rates change over the steps.
         held_out: metrics by name; logged under `val/`.
     """
+
+    best_by: ClassVar[tuple[str, Literal["min", "max"]]] = ("val/loss", "min")
+    """The measure by which validations are compared, and whether the least or the most of it is best."""
 
     def __init__(self, schedule: LearningRate, held_out: dict[str, Metric]) -> None:
         super().__init__()

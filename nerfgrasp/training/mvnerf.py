@@ -34,6 +34,8 @@ class MVNeRFTraining(ScheduledTraining):
         UserError: there is no such model, or both it and a shape are given.
     """
 
+    best_by = ("val/psnr", "max")
+
     def __init__(
         self,
         network: MVNeRFConfig = MVNeRFConfig(),

@@ -70,6 +70,23 @@ def test_half_precision_accumulated(config: Path, run: Path) -> None:
         assert file.get_tensor("fine.readout.weight").dtype == torch.float32
 
 
+def test_the_best_weights_are_kept(config: Path, run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    args = ["fit", "--config", str(config), "--keep", "best", "--trainer.val_check_interval", "1"]
+    worse = ["--model.init_args.learning_rate", "0.3", "--model.init_args.schedule", '{"warmup_steps": 1}']
+    assert cli.main([*args, *worse, "--trainer.max_steps", "2"]) == 0
+    assert cli.main([*args, *worse, "--trainer.max_steps", "4", "--ckpt_path", "last"]) == 0
+    best, last = (torch.load(run / "checkpoints" / f"{name}.ckpt", weights_only=True) for name in ("best", "last"))
+    assert best["global_step"] < last["global_step"] == 4
+    for name, weight in load_model(run / "model").state_dict().items():
+        assert torch.equal(weight, best["state_dict"][f"network.{name}"])
+    assert "as it was where val/psnr was best" in capsys.readouterr().out
+
+
+def test_the_best_of_no_validation_is_refused(config: Path, refusal: Callable[[list[str]], str]) -> None:
+    args = ["fit", "--config", str(config), "--keep", "best", "--trainer.val_check_interval", "3"]
+    assert refusal(args) == "keep is best, but trainer.val_check_interval (3) is more than max_steps (2)"
+
+
 def test_a_checkpoint_is_validated_on_the_held_out_set_alone(
     config: Path,
     run: Path,
