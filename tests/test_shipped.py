@@ -7,18 +7,24 @@ from pathlib import Path
 import pytest
 
 from nerfgrasp.cli import main
+from nerfgrasp.evaluation.methods import find_method, load_method
 from nerfgrasp.models import GraspValue
-from nerfgrasp.models.folder import DEFAULT_MODEL, find_model, load_model
+from nerfgrasp.models.folder import DEFAULT_MODEL, find_model, load_model, shipped_models
 from nerfgrasp.scenes.folder import read_scene
 from nerfgrasp.scenes.shipped import find_scene
 
 
-@pytest.mark.parametrize("model", [DEFAULT_MODEL, "mv1-laptop"])
-def test_the_shipped_models_are_small(model: str) -> None:
+@pytest.mark.parametrize("model", shipped_models())
+def test_the_shipped_models_are_small_and_can_be_tried(model: str) -> None:
     folder = find_model(model)
     assert sum(path.stat().st_size for path in folder.iterdir()) < 8e6
     assert (folder / "README.md").is_file()
-    assert isinstance(load_model(model), GraspValue)
+    assert callable(load_method(*find_method(model)).propose)
+
+
+def test_the_default_model_is_a_grasp_value() -> None:
+    assert DEFAULT_MODEL in shipped_models()
+    assert isinstance(load_model(DEFAULT_MODEL), GraspValue)
 
 
 def test_the_demo_scene_is_drawn_from_a_seed_of_no_training_set() -> None:
