@@ -78,7 +78,8 @@ class Limits:
 
     def _lack(self, T_world_grasp: Tensor, workspace: Workspace, height: Tensor | None = None) -> Tensor:
         """Returns how much too low `[...]` grasps are for the clearance, or would be at another height."""
-        lacking = workspace.minimum[2].to(T_world_grasp) + self.clearance - self.gripper.lowest(T_world_grasp)
+        least = workspace.minimum[2].to(T_world_grasp) + (self.clearance or 0.0)
+        lacking = least - self.gripper.lowest(T_world_grasp)
         return lacking if height is None else lacking + T_world_grasp[..., 2, 3] - height
 
     def _fitted(self, T_world_grasp: Tensor, workspace: Workspace) -> Tensor:

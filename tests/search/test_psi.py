@@ -204,7 +204,7 @@ def test_the_default_search_comes_near_a_peak_on_what_is_seen(workspace: Workspa
     grasps, trace = method.search(observations, workspace, generator=seeded())
     assert trace.value.shape == (GUIDED.climb.steps + 1, 16)
     best = grasps.T_world_grasp[0]
-    assert float((best[:3, 3] - torch.tensor([0.0, 0.03, 0.05])).norm()) < 0.015
+    assert float((best[:3, 3] - torch.tensor([0.0, 0.03, 0.05])).norm()) < 0.025  # polishing gives value for room
     assert float(grasps.value[0]) > -1  # across the bar, its way free
     assert 1 <= len(grasps) <= (GUIDED.weighed or 0)
 
