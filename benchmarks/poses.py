@@ -33,7 +33,7 @@ from nerfgrasp.models.folder import DEFAULT_MODEL
 from nerfgrasp.search import PAPER, Phase, Schedule, ascend, best_first, distinct
 from nerfgrasp.search.feasibility import Feasibility
 from nerfgrasp.search.limits import Limits
-from nerfgrasp.search.occupancy import occupied_candidates
+from nerfgrasp.search.occupancy import occupancy, occupied_candidates
 from nerfgrasp.search.parameterization import load_pose
 from nerfgrasp.search.strategies import GUIDED
 
@@ -162,9 +162,8 @@ def starts(seen: Seen, candidates: int) -> Tensor:
     """Returns `T_world_grasp` `[16, 4, 4]`, or fewer: the best different ones of what is drawn."""
     model, features, box = seen.psi.model, seen.scene.features, seen.scene.workspace
     generator = proposal_generator(seen.truth.seed, seen.truth.index, 0)
-    drawn = occupied_candidates(
-        candidates, box, generator, LIMITS.max_tilt, model=model, features=features, spacing=GUIDED.spacing
-    )
+    occupied = occupancy(model, features, box, GUIDED.spacing)
+    drawn = occupied_candidates(candidates, box, generator, LIMITS.max_tilt, occupied=occupied)
     poses = LIMITS.enforce(drawn, box)
     with torch.no_grad():
         values = torch.cat([model.value(features, part) for part in poses.split(seen.psi.chunk)])

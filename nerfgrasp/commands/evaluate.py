@@ -6,7 +6,7 @@ from pathlib import Path
 
 from nerfgrasp.commands.generate import check_ranges
 from nerfgrasp.errors import UserError
-from nerfgrasp.evaluation.methods import find_method, load_method, method_hash
+from nerfgrasp.evaluation.methods import find_method, load_method, method_hash, method_search
 from nerfgrasp.evaluation.parts import Parts
 from nerfgrasp.evaluation.results import Row, Times, read_results
 from nerfgrasp.evaluation.trials import Trials, first_scene_hash, run_scene
@@ -59,9 +59,10 @@ def evaluate(
     out = Path(out)
     if out.is_dir():
         raise UserError(f"cannot write {out}: it is a folder")
-    model = method_hash(load_method(name, folder, schedule))
+    loaded = load_method(name, folder, schedule)
     catalogue = open_catalogue(objects).sha256 if found.catalogue else None
-    trials = Trials(found, seed, name, folder, model, size, catalogue, schedule)
+    hashes = {"model": method_hash(loaded), "catalogue": catalogue, "search": method_search(loaded)}
+    trials = Trials(found, seed, name, folder, size=size, schedule=schedule, **hashes)
     if out.exists():
         tally = Tally(_finished(trials, out, scenes))
         print(f"{out} is already complete: {scenes} scenes")
@@ -123,7 +124,7 @@ def _finished(trials: Trials, out: Path, scenes: int) -> list[Row]:
     first = rows[0]
     pairs = {
         key: (getattr(first, key), settings[key])
-        for key in ("set", "method", "model", "schedule", "physics", "versions")
+        for key in ("set", "method", "model", "schedule", "search", "physics", "versions")
     }
     pairs["scenes"] = (len({row.scene for row in rows}), scenes)
     pairs["scene_sha256"] = (first.scene_sha256, first_scene_hash(trials))

@@ -1,7 +1,7 @@
 """`nerfgrasp optimize`: finds grasps in one scene."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -25,8 +25,9 @@ from nerfgrasp.search.ascent import Trace
 from nerfgrasp.search.devices import find_device
 from nerfgrasp.search.parameterization import load_pose
 from nerfgrasp.search.psi import Psi
+from nerfgrasp.search.ranges import check_number
 from nerfgrasp.search.ranking import distinct
-from nerfgrasp.search.strategies import DEFAULT_STRATEGY, find_strategy
+from nerfgrasp.search.strategies import DEFAULT_STRATEGY, Strategy, find_strategy
 from nerfgrasp.viz.figures import picture
 from nerfgrasp.viz.imagination import imagine, imagined_panels
 
@@ -50,6 +51,7 @@ def optimize(
     out: Path | None = None,
     execute: bool = False,
     count: int = 10,
+    images: int | None = None,
 ) -> None:
     """Finds grasps in a scene by gradient ascent on a model's grasp value.
 
@@ -58,7 +60,8 @@ def optimize(
     Args:
         scene: a scene's folder, or the name of a shipped one, e.g. `demo`.
         model: a model's folder, a Hugging Face repository id, or the name of a shipped one.
-        schedule: how to search: `resample`, `joint`, `prune`, or `paper` (the paper's Algorithm 1); see docs/search.md.
+        schedule: how to search: `guided`, `resample`, `joint`, `prune`, `paper` (the paper's Algorithm 1), or
+            `halving`; see docs/search.md.
         pose: the registered name of the pose parameterization to climb in.
         candidates: how many random poses are drawn; the schedule's own number if not given.
         keep: how many of them, the best, go on; the schedule's own number if not given.
@@ -71,11 +74,15 @@ def optimize(
         out: folder of the results; `SCENE-grasp` if not given.
         execute: carry the best grasp out in physics; for simulated scenes.
         count: how many different grasps to list at most.
+        images: how many of the scene's images are used, from the front; up to three, or as many as the model needs,
+            if not given.
 
     Raises:
         UserError: something asked for is not there, is damaged or cannot be written.
     """
-    _check(count=(count, 1), seed=(seed, 0))
+    check_number("count", count, 1)
+    check_number("seed", seed, 0)
+    check_number("images", images, 1)
     strategy = find_strategy(schedule, candidates=candidates, keep=keep, max_tilt=max_tilt, clearance=clearance)
     find_device(device)
     found = read_scene(find_scene(scene))
@@ -85,22 +92,48 @@ def optimize(
     folder = find_model(model)
     destination = Path(f"{found.name}-grasp") if out is None else Path(out)
     with publishing(destination) as results:
-        method = _load_method(model, folder, device)
-        observed = method.observe(found.observations, found.workspace)
-        print(f"searching {found.name}: {schedule}, {strategy}", flush=True)
-        generator = torch.Generator().manual_seed(seed)
-        climbed, trace = method.search(observed, generator=generator, pose=pose, strategy=strategy)
-        grasps = distinct(climbed.to("cpu"), count=count)
-        print("\n".join(table(grasps)), flush=True)
-        settings = {"scene": found.name, "model": model, "pose": pose, "seed": seed, **strategy.settings()}
-        data = to_json(grasps, {**settings, "workspace": workspace_to_json(found.workspace)})
-        if attempt is not None:
-            data["grasps"][0]["outcome"] = attempt(grasps.T_world_grasp[0])
-            print(f"the best grasp, carried out in physics: {data['grasps'][0]['outcome']}", flush=True)
-        method.model.cpu()
-        _write(results, found, method, grasps, trace.to("cpu"), data)
+        method = _load_method(model, folder, device, images)
+        asked = _Search(found, model, method, method.resolve(strategy), pose, seed, count, attempt)
+        if asked.strategy.name != schedule:
+            print(f"the model never learned to render, so {schedule} cannot guide its search", flush=True)
+        _search_and_write(asked, results)
         written = [path.name for path in sorted(results.iterdir())]
     print(f"wrote {', '.join(written)} to {destination}")
+
+
+@dataclass(frozen=True)
+class _Search:
+    """What was asked for, once it has been checked."""
+
+    scene: Scene
+    model: str
+    method: Psi
+    strategy: Strategy
+    """What the method runs, which may differ from what was asked for."""
+    pose: str
+    seed: int
+    count: int
+    attempt: Callable[[Tensor], str] | None
+    """What carries a grasp out, if that is to be done."""
+
+
+def _search_and_write(asked: _Search, folder: Path) -> None:
+    """Searches, prints what is found, carries the best grasp out, and writes all files."""
+    scene, method, strategy = asked.scene, asked.method, asked.strategy
+    observed = method.observe(scene.observations, scene.workspace)
+    print(f"searching {scene.name}: {strategy.name}, {strategy}", flush=True)
+    generator = torch.Generator().manual_seed(asked.seed)
+    climbed, trace = method.search(observed, generator=generator, pose=asked.pose, strategy=strategy)
+    grasps = distinct(climbed.to("cpu"), count=asked.count)
+    print("\n".join(table(grasps)), flush=True)
+    settings = {"scene": scene.name, "model": asked.model, "pose": asked.pose, "seed": asked.seed}
+    settings |= {**strategy.settings(), "workspace": workspace_to_json(scene.workspace)}
+    data = to_json(grasps, settings)
+    if asked.attempt is not None:
+        data["grasps"][0]["outcome"] = asked.attempt(grasps.T_world_grasp[0])
+        print(f"the best grasp, carried out in physics: {data['grasps'][0]['outcome']}", flush=True)
+    method.model.cpu()
+    _write(folder, asked, grasps, trace.to("cpu"), data)
 
 
 def table(grasps: Grasps) -> list[str]:
@@ -135,12 +168,6 @@ def to_json(grasps: Grasps, settings: dict[str, Any]) -> dict[str, Any]:
     return {**header, "grasps": rows}
 
 
-def _check(**ranges: tuple[int, int]) -> None:
-    for name, (value, least) in ranges.items():
-        if value < least:
-            raise UserError(f"{name} is {value}: it must be at least {least}")
-
-
 def _box(numbers: list[float]) -> Workspace:
     if len(numbers) != 6:
         raise UserError(
@@ -149,7 +176,7 @@ def _box(numbers: list[float]) -> Workspace:
     return workspace_from_corners(numbers[:3], numbers[3:])
 
 
-def _load_method(name: str, folder: Path, device: str) -> Psi:
+def _load_method(name: str, folder: Path, device: str, images: int | None) -> Psi:
     """Loads a model by the method that its folder names."""
     method = read_json(folder / "config.json").get("method")
     if not isinstance(method, str):
@@ -157,7 +184,7 @@ def _load_method(name: str, folder: Path, device: str) -> Psi:
     kind = registry.load(registry.BASELINES, method)
     if not (isinstance(kind, type) and issubclass(kind, Psi)):
         raise UserError(f"model {name}: its method {method!r} does not search by gradient ascent")
-    return kind.from_pretrained(str(folder), device=device)
+    return kind.from_pretrained(str(folder), device=device, images=images)
 
 
 def _attempt_in_physics(scene: Scene) -> Callable[[Tensor], str]:
@@ -170,7 +197,8 @@ def _attempt_in_physics(scene: Scene) -> Callable[[Tensor], str]:
     return lambda T_world_grasp: str(attempt_grasp(truth, T_world_grasp).outcome)
 
 
-def _write(folder: Path, scene: Scene, method: Psi, grasps: Grasps, trace: Trace, data: dict[str, Any]) -> None:
+def _write(folder: Path, asked: _Search, grasps: Grasps, trace: Trace, data: dict[str, Any]) -> None:
+    scene, method = asked.scene, asked.method
     used = scene.observations.select(slice(method.images))
     renders = method.model.config.renders
     imagined = imagine(method.model, used, scene.workspace, grasps.T_world_grasp[0]) if renders else {}
@@ -179,9 +207,10 @@ def _write(folder: Path, scene: Scene, method: Psi, grasps: Grasps, trace: Trace
     if find_spec("rerun") is None:
         print("rerun is not installed: no optimization.rrd is written")
         return
-    from nerfgrasp.viz.recording import record_search
+    from nerfgrasp.viz.recording import PSI, WITH_FEASIBILITY, record_search
 
-    record_search(folder / "optimization.rrd", used, scene.workspace, trace, grasps, imagined)
+    judged = PSI if asked.strategy.feasibility is None else WITH_FEASIBILITY
+    record_search(folder / "optimization.rrd", used, scene.workspace, trace, grasps, imagined, judged=judged)
 
 
 def _facts(grasps: Grasps, data: dict[str, Any]) -> list[str]:

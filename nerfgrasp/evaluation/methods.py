@@ -13,6 +13,7 @@ from nerfgrasp.errors import UserError, unknown_name
 from nerfgrasp.files import read_json
 from nerfgrasp.models.folder import find_model, weights_hash
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
+from nerfgrasp.search.strategies import Strategy
 
 
 class Method(Protocol):
@@ -81,6 +82,12 @@ def load_method(name: str, folder: str | None, schedule: str | None = None) -> M
     if not isinstance(method, Schedulable):
         raise UserError(f"method {name!r} has no search schedules: leave schedule {schedule!r} out")
     return method.with_schedule(schedule)
+
+
+def method_search(method: Method) -> str | None:
+    """Returns name and hash of how a method searches, its `strategy`'s; None if it has none."""
+    strategy = getattr(method, "strategy", None)
+    return strategy.identity if isinstance(strategy, Strategy) else None
 
 
 def method_hash(method: Method) -> str | None:

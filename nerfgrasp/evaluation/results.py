@@ -62,6 +62,9 @@ class Row:
     """Of `nerfgrasp`, `torch` and `pybullet`."""
     schedule: str | None = None
     """The search schedule that was asked for; lines of a method's own way do not name it."""
+    search: str | None = None
+    """Name and hash of the search that was run, e.g. `guided-0123456789abcdef`; lines of a method that has none, and
+    those written before there was a hash, do not hold it."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +125,7 @@ def read_times(path: Path) -> list[Times]:
 def row_to_json(row: Row) -> dict[str, Any]:
     """Returns one line of results as JSON data."""
     data = {"format": FORMAT_VERSION, **asdict(row)}
-    return {key: value for key, value in data.items() if key != "schedule" or value is not None}
+    return {key: value for key, value in data.items() if key not in ("schedule", "search") or value is not None}
 
 
 def row_from_json(data: Any) -> Row:

@@ -55,6 +55,8 @@ class Trials:
     """Hash of the catalogue that the objects come from."""
     schedule: str | None = None
     """How the method searches; None for its own way."""
+    search: str | None = None
+    """Name and hash of that search; None for a method without one."""
 
     @property
     def set(self) -> str:
@@ -63,9 +65,8 @@ class Trials:
 
     def settings(self) -> dict[str, Any]:
         """Returns as JSON data what tells these trials from others; where folders lie does not."""
-        named = {
-            name: getattr(self, name) for name in ("set", "seed", "method", "model", "size", "catalogue", "schedule")
-        }
+        names = ("set", "seed", "method", "model", "size", "catalogue", "schedule", "search")
+        named = {name: getattr(self, name) for name in names}
         return {"task": self.task.name, **named, "physics": physics_hash(), "versions": versions()}
 
 
@@ -157,6 +158,7 @@ def _try(trials: Trials, method: Method, truth: Truth, number: int, failed: list
         errors=None if grasp is None else pose_errors(truth, recorded_pose(grasp)),
         versions=versions(),
         schedule=trials.schedule,
+        search=trials.search,
     )
     return row, Times(truth.index, number, *(after - before for before, after in pairwise(clock))), attempt
 

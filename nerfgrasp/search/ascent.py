@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from nerfgrasp.errors import UserError
 from nerfgrasp.scenes.scene import Grasps, Workspace
 from nerfgrasp.search.candidates import random_candidates, resample
 from nerfgrasp.search.climb import Climb, Projection, Value
 from nerfgrasp.search.limits import Limits
-from nerfgrasp.search.ranking import best_first, distinct
+from nerfgrasp.search.ranking import best_first, distinct, finite_first
 from nerfgrasp.search.schedule import PAPER, PoseParameterization, Round, Schedule
 
 Draw = Callable[[int, Workspace, torch.Generator, float], Tensor]
@@ -66,10 +65,7 @@ def ascend(
     """
     climb = Climb(value, start, pose, _projection(pose, workspace, limits), chunk)
     trace = Trace(*climb.run(schedule))
-    grasps = best_first(trace.T_world_grasp[-1], trace.value[-1])
-    if len(grasps) == 0:
-        raise UserError("the search found no grasp with a finite value: the model's weights may be damaged")
-    return grasps, trace
+    return finite_first(trace.T_world_grasp[-1], trace.value[-1]), trace
 
 
 def search(
@@ -104,7 +100,8 @@ def search(
         chunk: how many candidates are evaluated at once.
 
     Returns:
-        What `ascend` returns for the candidates kept, which stand in the trace in the order of their first value.
+        What `ascend` returns for those that climb. They stand in the trace in the order in which they were drawn, if
+        all climb at once; else, best first, in that of their values before the rounds, or with `climbers` after them.
 
     Raises:
         UserError: no pose has a finite value, or the workspace has no room within the limits.
@@ -114,9 +111,7 @@ def search(
     start = draw(candidates, workspace, generator, math.pi if limits is None else limits.max_tilt)
     if rounds or (keep is not None and keep < candidates) or (climbers is not None and climbers < candidates):
         start = start if limits is None else limits.enforce(start, workspace)
-        best = best_first(start, _values(value, start, chunk))
-        if len(best) == 0:
-            raise UserError("no candidate has a finite value: the model's weights may be damaged")
+        best = finite_first(start, _values(value, start, chunk))
         kept = best.T_world_grasp[:keep], best.value[:keep]
         start, values = resample(
             lambda poses, floor: _values(value, poses, chunk), *kept, rounds, workspace, generator, limits

@@ -34,7 +34,12 @@ class GraspFinder:
 
     @classmethod
     def from_pretrained(
-        cls, model: str | None = None, *, device: str | torch.device = "cpu", remember: int = 4
+        cls,
+        model: str | None = None,
+        *,
+        device: str | torch.device = "cpu",
+        remember: int = 4,
+        images: int | None = None,
     ) -> "GraspFinder":
         """Loads a model.
 
@@ -43,11 +48,14 @@ class GraspFinder:
                 default.
             device: where to compute: `cpu`, `cuda`, `mps`, or a numbered one, e.g. `cuda:1`.
             remember: see the class.
+            images: how many of a scene's images are used, from the front; up to three, or as many as the model needs,
+                if not given. See `Psi`.
 
         Raises:
-            UserError: there is no such model or device, or the model is damaged or values no grasps.
+            UserError: there is no such model or device, the model is damaged or values no grasps, or `images` is out of
+                its range.
         """
-        return cls(Psi.from_pretrained(model, device=device), remember=remember)
+        return cls(Psi.from_pretrained(model, device=device, images=images), remember=remember)
 
     def observe(
         self,
@@ -59,8 +67,8 @@ class GraspFinder:
         """Encodes a scene's images; the same ones, observed again, come from memory.
 
         Args:
-            images: `[V, H, W, 3]` or `[V, 3, H, W]`, RGB: uint8, or floats in [0, 1]. As many as the model needs are
-                used, or three if it needs fewer.
+            images: `[V, H, W, 3]` or `[V, 3, H, W]`, RGB: uint8, or floats in [0, 1]. As many as `from_pretrained` was
+                told are used; else as many as the model needs, or three if it needs fewer.
             intrinsics: `[3, 3]` or `[V, 3, 3]` in pixels; pixel centres lie at +0.5.
             T_world_camera: `[V, 4, 4]`, camera to world, OpenCV axes, metres.
             workspace: two corners (minimum, maximum) of the box to search, metres, its lower face the table; the

@@ -14,10 +14,15 @@ from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Gripper
 from nerfgrasp.scenes.scene import Workspace
 from nerfgrasp.search.schedule import PoseParameterization
 
+_ROUNDING = 1e-6
+"""Metres by which a hand may lack room."""
+_HALVINGS = 20
+"""Of the range in which a tilt is sought: to less than a thousandth of a degree."""
+
 
 @dataclass(frozen=True)
 class Limits:
-    """Moves poses that break a limit to the nearest that keep it. The table is the workspace's lower face."""
+    """Moves poses that break a limit to near ones that keep it. The table is the workspace's lower face."""
 
     max_tilt: float = math.radians(60.0)
     """The most by which the approach may differ from straight down, radians; π for none."""
@@ -42,20 +47,26 @@ class Limits:
             raise UserError(f"clearance is {self.clearance} m: the workspace's height leaves room for {at_most}")
 
     def enforce(self, T_world_grasp: Tensor, workspace: Workspace) -> Tensor:
-        """Returns grasps `[..., 4, 4]`, turned no more than it takes and then lifted no more than it takes."""
-        turned = make_pose(self._turn(T_world_grasp) @ T_world_grasp[..., :3, :3], T_world_grasp[..., :3, 3])
+        """Returns grasps `[..., 4, 4]`, turned no more than it takes and then lifted no more than it takes.
+
+        Where the workspace is too shallow to lift a tilted hand clear of the table, it is turned further, until it can
+        be; `check_room` tells whether it ever can.
+        """
+        turned = _turned(T_world_grasp, self.max_tilt)
         upright = torch.where(self._too_tilted(T_world_grasp)[..., None, None], turned, T_world_grasp).clone()
         if self.clearance is None:
             return upright
-        lacking = workspace.minimum[2].to(upright) + self.clearance - self.gripper.lowest(upright)
-        upright[..., 2, 3] += lacking.clamp(min=0.0)
+        cramped = self._lack(upright, workspace, workspace.maximum[2].to(upright)) > _ROUNDING
+        if bool(cramped.any()):
+            upright[cramped] = self._fitted(upright[cramped], workspace)
+        upright[..., 2, 3] += self._lack(upright, workspace).clamp(min=0.0)
         return upright
 
     def project(self, pose: PoseParameterization, params: dict[str, Tensor], workspace: Workspace) -> dict[str, Tensor]:
         """Returns the parameters of the poses that keep the limits; what need not change stays as it is."""
         before = pose.decode(params)
         after = self.enforce(before, workspace)
-        turned = self._too_tilted(before)[..., None]
+        turned = (after != before)[..., :3, :3].flatten(-2).any(dim=-1, keepdim=True)
         moved = (after != before).flatten(-2).any(dim=-1, keepdim=True)
         # Parameters are not unique: encoded anew, an orientation that stays may come out as another one.
         changed = {"position": moved, "orientation": turned}
@@ -65,12 +76,35 @@ class Limits:
     def _too_tilted(self, T_world_grasp: Tensor) -> Tensor:
         return -T_world_grasp[..., 2, 2] < math.cos(self.max_tilt) - 1e-6
 
-    def _turn(self, T_world_grasp: Tensor) -> Tensor:
-        """Returns the rotations `[..., 3, 3]` that bring approaches to the limit, about the horizontal."""
-        approach = T_world_grasp[..., :3, 2]
-        # approach × down; straight up, any horizontal axis will do.
-        axis = torch.stack([-approach[..., 1], approach[..., 0], torch.zeros_like(approach[..., 0])], dim=-1)
-        length = axis.norm(dim=-1, keepdim=True)
-        unit = torch.where(length > 1e-6, axis / length.clamp(min=1e-6), torch.tensor([1.0, 0.0, 0.0]).to(axis))
-        tilt = torch.atan2(length[..., 0], -approach[..., 2])
-        return roma.rotvec_to_rotmat(unit * (tilt - self.max_tilt).clamp(min=0.0)[..., None])
+    def _lack(self, T_world_grasp: Tensor, workspace: Workspace, height: Tensor | None = None) -> Tensor:
+        """Returns how much too low `[...]` grasps are for the clearance, or would be at another height."""
+        least = workspace.minimum[2].to(T_world_grasp) + (self.clearance or 0.0)
+        lacking = least - self.gripper.lowest(T_world_grasp)
+        return lacking if height is None else lacking + T_world_grasp[..., 2, 3] - height
+
+    def _fitted(self, T_world_grasp: Tensor, workspace: Workspace) -> Tensor:
+        """Returns grasps `[N, 4, 4]` turned down until there is room for them under the workspace's top: bisection."""
+        fits = torch.zeros_like(T_world_grasp[..., 0, 0])
+        too_much = _tilt(T_world_grasp)
+        for _ in range(_HALVINGS):
+            middle = (fits + too_much) / 2
+            lacks = self._lack(_turned(T_world_grasp, middle), workspace, workspace.maximum[2].to(middle)) > 0
+            fits, too_much = torch.where(lacks, fits, middle), torch.where(lacks, middle, too_much)
+        return _turned(T_world_grasp, fits)
+
+
+def _tilt(T_world_grasp: Tensor) -> Tensor:
+    """Returns the angles `[...]` between approaches and straight down, radians."""
+    approach = T_world_grasp[..., :3, 2]
+    return torch.atan2(approach[..., :2].norm(dim=-1), -approach[..., 2])
+
+
+def _turned(T_world_grasp: Tensor, tilt: Tensor | float) -> Tensor:
+    """Returns grasps whose approach differs from straight down by no more than `tilt`, turned about the horizontal."""
+    approach = T_world_grasp[..., :3, 2]
+    # approach × down; straight up, any horizontal axis will do.
+    axis = torch.stack([-approach[..., 1], approach[..., 0], torch.zeros_like(approach[..., 0])], dim=-1)
+    length = axis.norm(dim=-1, keepdim=True)
+    unit = torch.where(length > 1e-6, axis / length.clamp(min=1e-6), torch.tensor([1.0, 0.0, 0.0]).to(axis))
+    turn = roma.rotvec_to_rotmat(unit * (_tilt(T_world_grasp) - tilt).clamp(min=0.0)[..., None])
+    return make_pose(turn @ T_world_grasp[..., :3, :3], T_world_grasp[..., :3, 3])

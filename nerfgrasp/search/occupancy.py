@@ -1,5 +1,7 @@
 """Where a search starts: in proportion to the opacity of the model's own density."""
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
@@ -16,42 +18,58 @@ _COLUMNS = 256
 """Columns of the grid that are asked at once."""
 
 
-def occupied_candidates(
-    count: int,
-    workspace: Workspace,
-    generator: torch.Generator,
-    max_tilt: float,
-    *,
-    model: GraspValue,
-    features: SceneFeatures,
-    spacing: float,
-) -> Tensor:
-    """Draws grasp poses whose positions lie where the model sees something.
+@dataclass(frozen=True)
+class Occupancy:
+    """Where a model sees something: a grid over a workspace, asked once for any number of searches."""
+
+    points: Tensor
+    """`[N, 3]`: the cells' centres in the world, metres."""
+    cell: Tensor
+    """`[3]`: the cells' sides, metres."""
+    chance: Tensor
+    """`[N]`: the cells' opacities in [0, 1]; 0 where density may be the table's own."""
+
+
+def occupancy(model: GraspValue, features: SceneFeatures, workspace: Workspace, spacing: float) -> Occupancy:
+    """Asks a model's density on a grid.
 
     A grasp encloses its object: of positions drawn uniformly in a workspace, nearly all are in the air. One question
     a cell of a grid costs far less than the value of a pose, which asks at 42 points.
 
     Args:
-        count: how many, N.
-        workspace: the box of the positions; its lower face is the table.
-        generator: the only source of randomness.
-        max_tilt: see `random_candidates`.
         model: whose backbone knows the density.
         features: of the scene, from `model.observe`.
+        workspace: the box; its lower face is the table.
         spacing: of the grid's points, metres.
-
-    Returns:
-        `T_world_grasp` `[N, 4, 4]`: uniform orientations; positions uniform in cells that are drawn by their opacity.
     """
     points, cell = grid(workspace, spacing)
     chance = opacity(model, features, points).flatten()
     chance = torch.where(points[..., 2].flatten() < workspace.minimum[2] + _TABLE, 0.0, chance).nan_to_num()
+    return Occupancy(points.flatten(0, 1), cell, chance)
+
+
+def occupied_candidates(
+    count: int, workspace: Workspace, generator: torch.Generator, max_tilt: float, *, occupied: Occupancy
+) -> Tensor:
+    """Draws grasp poses whose positions lie where the model sees something.
+
+    Args:
+        count: how many, N.
+        workspace: the box of the positions.
+        generator: the only source of randomness.
+        max_tilt: see `random_candidates`.
+        occupied: where something is in it.
+
+    Returns:
+        `T_world_grasp` `[N, 4, 4]`: uniform orientations; positions uniform in cells that are drawn by their opacity.
+    """
+    points = occupied.points
     poses = random_candidates(count, workspace, generator, max_tilt)
-    if not bool((chance > 0).any()):
+    if not bool((occupied.chance > 0).any()):
         return poses
-    chosen = torch.multinomial(chance.to(generator.device), count, replacement=True, generator=generator)
+    chosen = torch.multinomial(occupied.chance.to(generator.device), count, replacement=True, generator=generator)
     within = torch.rand(count, 3, generator=generator, device=generator.device).to(points) - 0.5
-    poses[:, :3, 3] = points.flatten(0, 1)[chosen.to(points.device)] + within * cell
+    poses[:, :3, 3] = points[chosen.to(points.device)] + within * occupied.cell
     return poses
 
 

@@ -1,7 +1,7 @@
 """Ψ with its search: the method `psi`, from observations to grasps."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import ClassVar
 
@@ -18,14 +18,17 @@ from nerfgrasp.search.ascent import Draw, Trace, search
 from nerfgrasp.search.candidates import random_candidates, resample
 from nerfgrasp.search.devices import find_device
 from nerfgrasp.search.feasibility import Feasibility
-from nerfgrasp.search.occupancy import occupied_candidates
+from nerfgrasp.search.occupancy import Occupancy, occupancy, occupied_candidates
 from nerfgrasp.search.parameterization import load_pose
-from nerfgrasp.search.ranking import best_first, distinct
+from nerfgrasp.search.ranges import check_number
+from nerfgrasp.search.ranking import best_first, distinct, finite_first
 from nerfgrasp.search.schedule import PoseParameterization
 from nerfgrasp.search.strategies import GUIDED, Strategy, find_strategy
 
 _DISTANCE, _ANGLE = 0.01, math.radians(15.0)
 """Metres and radians: grasps nearer to a better one in both are not weighed, where not all are."""
+_IMAGES = 3
+"""How many of a scene's images are used, if it has as many and nobody asks for others."""
 _CHUNK = {"cpu": 64}
 """Poses that are evaluated at once, where they fit a processor's cache; ..."""
 _CHUNK_ELSEWHERE = 512
@@ -40,6 +43,8 @@ class ObservedScene:
     """Of its images, on the model's device."""
     workspace: Workspace
     """Where to search, there too."""
+    occupied: dict[float, Occupancy] = field(default_factory=dict, repr=False, compare=False)
+    """Where the model sees something in it, by the spacing of the grid; filled by the first search that asks."""
 
 
 class Psi:
@@ -49,35 +54,46 @@ class Psi:
     """It sees RGB alone."""
 
     def __init__(
-        self, model: GraspValue, *, strategy: Strategy = GUIDED, images: int = 3, chunk: int | None = None
+        self, model: GraspValue, *, strategy: Strategy = GUIDED, images: int | None = None, chunk: int | None = None
     ) -> None:
         """Wraps a trained value.
 
         Args:
             model: the value Ψ on its backbone; the search runs on its device.
             strategy: how to search, where a search is not given another.
-            images: how many of a scene's images are used, from the front, if the model does not need more. A
-                model that sees one at a time averages its values over them (the paper's MV1).
+            images: how many of a scene's images are used, from the front, if the model does not need more; every
+                scene must have as many. A model takes them in groups of as many as it sees at once, averages its values
+                over the groups (the paper's MV1), and leaves out what does not fill one. None for up to three.
             chunk: how many poses are evaluated at once, which bounds the memory; None chooses by the device.
+
+        Raises:
+            UserError: `images` is out of its range.
         """
+        check_number("images", images, 1)
         self.model = model.eval().requires_grad_(False)
-        self.strategy = strategy
-        self.images = max(images, model.views)
+        self.strategy = self.resolve(strategy)
+        """What a search is that is not given another."""
+        self.asked_images = images
+        self.images = max(_IMAGES if images is None else images, model.views)
+        """How many of a scene's images are used at most."""
         self.chunk = _CHUNK.get(self.device.type, _CHUNK_ELSEWHERE) if chunk is None else chunk
 
     @classmethod
-    def from_pretrained(cls, folder: str | None = None, *, device: str | torch.device = "cpu") -> "Psi":
+    def from_pretrained(
+        cls, folder: str | None = None, *, device: str | torch.device = "cpu", images: int | None = None
+    ) -> "Psi":
         """Loads a model folder, or a shipped model by its name; without either, the default model.
 
         Raises:
-            UserError: there is no such model or device, it is damaged, or it holds no grasp value.
+            UserError: there is no such model or device, it is damaged, or it holds no grasp value; or `images` is out
+                of its range.
         """
         where = find_device(device)
         folder = DEFAULT_MODEL if folder is None else folder
         model = load_model(folder)
         if not isinstance(model, GraspValue):
             raise UserError(f"model {folder}: a {type(model).__name__} renders scenes but values no grasps")
-        return cls(model.to(where))
+        return cls(model.to(where), images=images)
 
     @property
     def device(self) -> torch.device:
@@ -86,7 +102,11 @@ class Psi:
 
     def with_schedule(self, name: str) -> "Psi":
         """Returns the same method with another search, by its name; an unknown one is a UserError."""
-        return type(self)(self.model, strategy=find_strategy(name), images=self.images, chunk=self.chunk)
+        return type(self)(self.model, strategy=find_strategy(name), images=self.asked_images, chunk=self.chunk)
+
+    def resolve(self, strategy: Strategy) -> Strategy:
+        """Returns what is run where `strategy` is asked for: a model that cannot render is searched without density."""
+        return strategy if self.model.config.renders else strategy.blind()
 
     def observe(self, observations: Observations, workspace: Workspace) -> ObservedScene:
         """Encodes a scene's images once, for any number of searches.
@@ -98,6 +118,8 @@ class Psi:
         Raises:
             UserError: too few views, or one of those used sees nothing of the workspace.
         """
+        if self.asked_images is not None and len(observations) < self.asked_images:
+            raise UserError(f"images is {self.asked_images}: the scene has {len(observations)}")
         used = observations.select(slice(self.images))
         for view in torch.nonzero(~sees_box(used.camera, workspace.minimum, workspace.maximum))[:, 0].tolist():
             low, high = (
@@ -133,14 +155,13 @@ class Psi:
             their climb, which shows Ψ alone.
 
         Raises:
-            UserError: as for `observe`, or a parameterization that is unknown or breaks its word.
+            UserError: as for `observe`, a parameterization that is unknown or breaks its word, or no grasp of a finite
+                value.
         """
         if isinstance(scene, Observations):
             scene = self.observe(scene, Workspace() if workspace is None else workspace)
         features, box = scene.features, scene.workspace
-        how = self.strategy if strategy is None else strategy
-        if not self.model.config.renders:
-            how = how.blind()
+        how = self.strategy if strategy is None else self.resolve(strategy)
         climbed, trace = search(
             lambda T: self.model.value(features, T),
             load_pose(pose, box),
@@ -171,9 +192,12 @@ class Psi:
             grasps: valued by Ψ alone.
             scene: in which they lie.
             feasibility: what is added to their values.
+
+        Raises:
+            UserError: none of them has a finite value then.
         """
         added = feasibility(self.model, scene.features, grasps.T_world_grasp, scene.workspace)
-        return best_first(grasps.T_world_grasp, grasps.value + added)
+        return finite_first(grasps.T_world_grasp, grasps.value + added)
 
     def polish(self, grasps: Grasps, scene: ObservedScene, strategy: Strategy, generator: torch.Generator) -> Grasps:
         """Returns weighed grasps, the best of them moved to where value and feasibility together are higher.
@@ -205,7 +229,9 @@ class Psi:
     def _draw(self, scene: ObservedScene, spacing: float | None) -> Draw:
         if spacing is None:
             return random_candidates
-        return partial(occupied_candidates, model=self.model, features=scene.features, spacing=spacing)
+        if spacing not in scene.occupied:
+            scene.occupied[spacing] = occupancy(self.model, scene.features, scene.workspace, spacing)
+        return partial(occupied_candidates, occupied=scene.occupied[spacing])
 
     def _weighed(self, grasps: Grasps, scene: ObservedScene, how: Strategy, generator: torch.Generator) -> Grasps:
         if how.weighed is not None:

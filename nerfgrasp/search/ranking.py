@@ -6,6 +6,7 @@ import roma
 import torch
 from torch import Tensor
 
+from nerfgrasp.errors import UserError
 from nerfgrasp.scenes.scene import Grasps
 
 
@@ -20,6 +21,18 @@ def best_first(T_world_grasp: Tensor, value: Tensor) -> Grasps:
     kept = torch.nonzero(finite)[:, 0]
     order = kept[torch.sort(value[kept], descending=True, stable=True).indices]
     return Grasps(T_world_grasp[order], value[order])
+
+
+def finite_first(T_world_grasp: Tensor, value: Tensor) -> Grasps:
+    """As `best_first`, of which at least one is finite.
+
+    Raises:
+        UserError: none is.
+    """
+    grasps = best_first(T_world_grasp, value)
+    if len(grasps) == 0:
+        raise UserError("no candidate has a finite value: the model's weights may be damaged")
+    return grasps
 
 
 def grasp_angle(rotation: Tensor, other: Tensor) -> Tensor:

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.scenes.scene import Workspace
+from nerfgrasp.search.ranges import check_number
 
 WHOLE = "pose"
 """The group of a parameterization that does not decouple position and orientation."""
@@ -47,6 +48,13 @@ class Plateau:
     least: float = 0.05
     """The share of the phase's learning rate below which a candidate has converged."""
 
+    def __post_init__(self) -> None:
+        """Checks the numbers; one out of its range is a UserError."""
+        check_number("a plateau's patience", self.patience, 0)
+        check_number("a plateau's rise", self.rise, 0)
+        check_number("a plateau's factor", self.factor, 0, 1, above=True)
+        check_number("a plateau's least share", self.least, 0, 1)
+
 
 @dataclass(frozen=True)
 class Rung:
@@ -65,8 +73,9 @@ class Rung:
 
     def __post_init__(self) -> None:
         """Checks the numbers; one out of its range is a UserError."""
-        if self.after < 0 or self.window < 1 or not 0 < self.share <= 1:
-            raise UserError(f"{self}: `after` must be 0 or more, `share` above 0 and at most 1, `window` at least 1")
+        check_number("a rung's after", self.after, 0)
+        check_number("a rung's share", self.share, 0, 1, above=True)
+        check_number("a rung's window", self.window, 1)
 
 
 @dataclass(frozen=True)
@@ -87,7 +96,10 @@ class Phase:
     """Where only the best go on, in this phase and those after it."""
 
     def __post_init__(self) -> None:
-        """Checks the rungs; one that would never be reached is a UserError."""
+        """Checks the numbers; one out of its range, or a rung that would never be reached, is a UserError."""
+        check_number("a phase's steps", self.steps, 0)
+        check_number("a phase's learning_rate", self.learning_rate, 0, above=True)
+        check_number("a phase's decay", self.decay, 0, above=True)
         if any(rung.after >= self.steps for rung in self.rungs):
             raise UserError(f"a rung of {self.rungs} comes after the phase's {self.steps} steps")
 
@@ -106,6 +118,10 @@ class Schedule:
     """Gradients are clipped to ±clip, element by element."""
     go_back: bool = False
     """Whether each candidate ends at the best pose that it has seen; the paper's ends at its last one."""
+
+    def __post_init__(self) -> None:
+        """Checks the clipping; one out of its range is a UserError."""
+        check_number("a schedule's clip", self.clip, 0, above=True)
 
     @property
     def steps(self) -> int:
@@ -138,6 +154,12 @@ class Round:
     """Standard deviation of their shifts along each axis, metres."""
     angle: float
     """Standard deviation of their turns, radians."""
+
+    def __post_init__(self) -> None:
+        """Checks the numbers; one out of its range is a UserError."""
+        check_number("a round's copies", self.copies, 1)
+        check_number("a round's distance", self.distance, 0)
+        check_number("a round's angle", self.angle, 0)
 
 
 ROUNDS = (Round(10, 0.04, 1.2), Round(10, 0.03, 0.8), Round(8, 0.02, 0.5), Round(8, 0.012, 0.3), Round(8, 0.006, 0.15))

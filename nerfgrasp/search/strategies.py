@@ -1,12 +1,15 @@
 """Whole searches by name: how many candidates are drawn, which of them climb, how, and within which limits."""
 
+import hashlib
+import json
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 from nerfgrasp.errors import UserError, unknown_name
 from nerfgrasp.search.feasibility import Feasibility
 from nerfgrasp.search.limits import Limits
+from nerfgrasp.search.ranges import check_number
 from nerfgrasp.search.schedule import (
     CLIMB,
     FEW_ROUNDS,
@@ -19,6 +22,9 @@ from nerfgrasp.search.schedule import (
     Round,
     Schedule,
 )
+
+SEARCH_VERSION = 1
+"""Raised when a change of the code makes the same strategy find other grasps: results then say so."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +59,9 @@ class Strategy:
 
     def __post_init__(self) -> None:
         """Checks the numbers; one out of its range is a UserError."""
-        for name, value in (("candidates", self.candidates), ("keep", self.keep), ("polished", self.polished)):
-            if value is not None and value < 1:
-                raise UserError(f"{name} is {value}: it must be at least 1")
+        for name in ("candidates", "keep", "climbers", "weighed", "polished"):
+            check_number(name, getattr(self, name), 1)
+        check_number("spacing", self.spacing, 0, above=True)
 
     @property
     def climbing(self) -> int:
@@ -63,9 +69,22 @@ class Strategy:
         return min(count for count in (self.candidates, self.keep, self.climbers) if count is not None)
 
     def blind(self) -> "Strategy":
-        """Returns a search for a model that has not learned to render: its density means nothing and is not asked."""
-        base = self if self.spacing is None else replace(RESAMPLE, limits=self.limits)
-        return replace(base, feasibility=None)
+        """Returns a search for a model that has not learned to render: its density means nothing and is not asked.
+
+        Candidates that lie anywhere are too few where `guided` draws them, so `resample` takes its place; what differs
+        from its own numbers, because somebody gave it, is kept.
+        """
+        base = self
+        if self.name == GUIDED.name and self.spacing is not None:
+            values = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in ("name", "spacing")}
+            base = replace(RESAMPLE, **{name: v for name, v in values.items() if v != getattr(GUIDED, name)})
+        return replace(base, spacing=None, feasibility=None)
+
+    @property
+    def identity(self) -> str:
+        """Name and hash of all that it does, e.g. `guided-0123456789abcdef`; `SEARCH_VERSION` counts too."""
+        text = json.dumps([SEARCH_VERSION, asdict(self)], sort_keys=True)
+        return f"{self.name}-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
 
     def settings(self) -> dict[str, Any]:
         """Returns as JSON data what a user may have set."""

@@ -21,6 +21,9 @@ TIMELINE = "iteration"
 FRAMES = "frame"
 """The timeline of an orbit."""
 MOST_CANDIDATES = 256
+PSI, WITH_FEASIBILITY = "Ψ", "Ψ and feasibility"
+"""What a grasp's value is: the learned value alone, or with what the model's density adds."""
+CURVES_TITLE = f"{PSI} during the climb (logit, comparable within this scene only)"
 _LEVER = 0.05
 """Metres from the tool centre point at which a turn counts as much as a shift."""
 _WINNER, _BOX = (255, 106, 19), (150, 150, 160)
@@ -35,16 +38,19 @@ def record_search(
     trace: Trace,
     grasps: Grasps,
     imagined: Mapping[str, RenderedView] | None = None,
+    *,
+    judged: str = PSI,
 ) -> None:
-    """Writes a search as an `.rrd` file that opens with its own blueprint.
+    """Writes a search's climb, and the best grasp found, as an `.rrd` file that opens with its own blueprint.
 
     Args:
         path: the file.
         observations: the views that the search used.
         workspace: where it searched.
-        trace: of the candidates; the best `MOST_CANDIDATES` of them are shown.
+        trace: of the candidates' climb, by Ψ; the best `MOST_CANDIDATES` of them are shown.
         grasps: the result, best first.
         imagined: what the model renders, by name, see `nerfgrasp.viz.imagination`.
+        judged: what the values of `grasps` are; those of the trace are Ψ alone.
     """
     imagined = imagined or {}
     names = [f"camera_{i}" for i in range(len(observations))]
@@ -54,7 +60,7 @@ def record_search(
         _log_view(recording, f"world/{name}", view, static=True)
     _log_trace(recording, trace, _winner(trace, grasps))
     winner = gripper_strip(grasps.T_world_grasp[:1]).cpu().numpy()
-    label = f"value {float(grasps.value[0]):.2f}"
+    label = f"{judged} {float(grasps.value[0]):.2f}"
     recording.log("world/grasp", rr.LineStrips3D(winner, colors=[_WINNER], radii=[0.004], labels=[label]), static=True)
     _end(recording)
 
@@ -212,7 +218,7 @@ def _blueprint(views: Sequence[str], imagined: Sequence[str]) -> rrb.Blueprint:
     if imagined:
         titles = [(name, kind, f"{name}: {kind}".replace("_", " ")) for name in imagined for kind in ("image", "depth")]
         rows.append(rrb.Horizontal(*[_with_grasp(*each) for each in titles]))
-    curves = rrb.TimeSeriesView(origin="value", name="value (logit, comparable within this scene only)")
+    curves = rrb.TimeSeriesView(origin="value", name=CURVES_TITLE)
     right = rrb.Vertical(*rows, curves)
     layout = rrb.Horizontal(space, right, column_shares=[3, 2])
     return rrb.Blueprint(layout, rrb.TimePanel(timeline=TIMELINE, state="expanded"), collapse_panels=True)

@@ -13,7 +13,8 @@ from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.results import read_results, read_times, times_path
 from nerfgrasp.models.folder import load_model, save_model, weights_hash
 from nerfgrasp.models.grasp_value import GraspValue, GraspValueConfig
-from nerfgrasp.search.strategies import STRATEGIES
+from nerfgrasp.search import strategies
+from nerfgrasp.search.strategies import GUIDED, STRATEGIES
 
 pytest.importorskip("pybullet")
 
@@ -235,6 +236,7 @@ def test_a_model_is_named_by_its_weights(case: Case, model: Path) -> None:
     first, second = read_results(case.unbroken)
     assert (first.method, first.model) == ("psi", weights_hash(load_model(model))[:16])
     assert second.model == first.model
+    assert first.search == second.search == GUIDED.identity
     assert str(model.parent) not in case.unbroken.read_text()
 
 
@@ -243,7 +245,18 @@ def test_a_schedule_is_recorded_and_kept_apart(model: Path, tmp_path: Path, monk
     arguments, out = {**SMALL, "method": str(model), "scenes": 1}, tmp_path / "results.jsonl"
     evaluate(**arguments, schedule="paper", out=out, workers=1)
     assert [row.schedule for row in read_results(out)] == ["paper"]
+    assert [row.search for row in read_results(out)] == [STRATEGIES["paper"].identity]
     with pytest.raises(UserError, match="holds other results: schedule 'paper', asked for None"):
         evaluate(**arguments, out=out)
     with pytest.raises(UserError, match="unknown schedule 'papre': did you mean 'paper'"):
         evaluate(**arguments, schedule="papre", out=tmp_path / "other.jsonl")
+    # Another search of the same name, finished or begun: neither is taken for the one asked for.
+    search = STRATEGIES["paper"].identity
+    monkeypatch.setattr(strategies, "SEARCH_VERSION", strategies.SEARCH_VERSION + 1)
+    with pytest.raises(UserError, match=f"holds other results: search '{search}', asked for 'paper-"):
+        evaluate(**arguments, schedule="paper", out=out)
+    model_hash = weights_hash(load_model(model))[:16]
+    begun = Trials(find_task("simple"), 11, "psi", None, model_hash, 32, None, "paper", search)
+    Parts(tmp_path / "begun.jsonl", begun.settings()).claim()
+    with pytest.raises(UserError, match=f"left by another command: its search is '{search}'"):
+        evaluate(**arguments, schedule="paper", out=tmp_path / "begun.jsonl", workers=1)

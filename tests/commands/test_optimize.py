@@ -20,6 +20,7 @@ from nerfgrasp.scenes.folder import write_scene
 from nerfgrasp.scenes.prisms import Prism
 from nerfgrasp.scenes.scene import Grasps, Observations, Scene, Truth, Workspace
 from nerfgrasp.search.ranking import grasp_angle
+from nerfgrasp.search.strategies import STRATEGIES
 
 SQUARE = ((-0.02, -0.02), (0.02, -0.02), (0.02, 0.02), (-0.02, 0.02))
 
@@ -98,12 +99,20 @@ def test_optimize_writes_grasps_picture_and_recording(
     assert "wrote grasps.json, optimization.rrd, picture.png" in printed
 
 
-def test_what_a_model_that_never_learned_to_render_imagines_is_left_out(desk: Path, tmp_path: Path) -> None:
+def test_what_a_model_that_never_learned_to_render_imagines_is_left_out(
+    desk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     save_model(tmp_path / "no3", GraspValue(GraspValueConfig(backbone=tiny_backbone(), renders=False)))
     assert main(arguments(desk, tmp_path / "no3", tmp_path / "out")) == 0
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"grasps.json", "picture.png", "optimization.rrd"}
     with Image.open(tmp_path / "out" / "picture.png") as picture:
         assert picture.height * 2 < picture.width  # the input views' row alone
+    # Nor can it be searched by its density: what is printed and recorded is the search that was run.
+    data = json.loads((tmp_path / "out" / "grasps.json").read_text())
+    assert (data["schedule"], data["candidates"], data["keep"]) == ("resample", 12, 4)
+    printed = capsys.readouterr().out
+    assert "never learned to render, so guided cannot guide its search" in printed
+    assert "searching desk: resample, 12 candidates, the best 4 climb" in printed
 
 
 def test_the_same_seed_writes_the_same_bytes(
@@ -171,6 +180,9 @@ def test_execute_reports_the_outcome(
         (["--workspace=[0,0,0,1,.nan,1]"], "workspace: a corner holds a number that is not finite"),
         (["--workspace=[7,7,0,7.5,7.5,0.2]"], "camera 0 sees nothing of the workspace from (7, 7, 0) to"),
         (["--count=-1"], "count is -1"),
+        (["--seed=-1"], "seed is -1"),
+        (["--images=0"], "images is 0: it must be at least 1"),
+        (["--images=7"], "images is 7: the scene has 4"),
     ],
 )
 def test_mistakes_are_told_before_the_search(
@@ -187,6 +199,14 @@ def test_mistakes_are_told_before_the_search(
     assert captured.err.count("\n") == 1
     assert "searching" not in captured.out
     assert nothing_is_left(tmp_path)
+
+
+def test_every_schedule_is_listed() -> None:
+    readme = Path(__file__).parents[2] / "README.md"
+    texts = [command.optimize.__doc__ or "", *([readme.read_text("utf-8")] if readme.exists() else [])]
+    for text in texts:
+        described = text[text.index("how to search") :][:300]
+        assert all(f"`{name}`" in described for name in STRATEGIES)
 
 
 def test_an_out_that_cannot_be_written_is_told_before_the_search(

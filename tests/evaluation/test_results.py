@@ -44,6 +44,15 @@ def test_a_schedule_is_written_only_where_it_was_asked_for(rows: list[Row], tmp_
     assert paper["schedule"] == "paper"
 
 
+def test_lines_say_by_which_search_and_older_ones_are_read(rows: list[Row], tmp_path: Path) -> None:
+    rows[1] = replace(rows[1], search="guided-0123456789abcdef")
+    write_results(tmp_path / "results.jsonl", rows)
+    assert read_results(tmp_path / "results.jsonl") == rows
+    older, new = map(json.loads, (tmp_path / "results.jsonl").read_text().splitlines())
+    assert "search" not in older
+    assert new["search"] == "guided-0123456789abcdef"
+
+
 def test_times_come_back_as_they_were(tmp_path: Path) -> None:
     times = [Times(0, 0, 0.1, 0.2, 0.3), Times(0, 1, 1.0, 2.0, 3.0)]
     path = times_path(tmp_path / "results.jsonl")

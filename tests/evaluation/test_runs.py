@@ -92,6 +92,7 @@ def test_later_attempts_may_find_other_tables(attempts: Attempts, write: Write) 
     [
         ("physics", "f" * 16, "line 2: physics 'ffffffffffffffff', but line 1 has '0123456789abcdef'"),
         ("method", "psi", "line 2: method 'psi', but line 1 has 'oracle'"),
+        ("search", "guided-0", "line 2: search 'guided-0', but line 1 has None"),
         ("attempt", 1, "scene 1 has an attempt 1 but no attempt 0"),
     ],
 )

@@ -119,8 +119,13 @@ def test_a_value_that_is_no_number_is_left_behind(workspace: Workspace, quaterni
 
 
 def test_rungs_out_of_range_are_told() -> None:
-    for numbers in ((-1, 0.5), (0, 0.0), (0, 1.5), (0, 0.5, 0)):
-        with pytest.raises(UserError, match="`share` above 0 and at most 1"):
+    for numbers, message in (
+        ((-1, 0.5), "after is -1: it must be at least 0"),
+        ((0, 0.0), "share is 0.0: it must be above 0 and at most 1"),
+        ((0, 1.5), "share is 1.5: it must be above 0 and at most 1"),
+        ((0, 0.5, 0), "window is 0: it must be at least 1"),
+    ):
+        with pytest.raises(UserError, match=f"a rung's {message}"):
             Rung(*numbers)  # type: ignore[arg-type]
     with pytest.raises(UserError, match="comes after the phase's 4 steps"):
         Phase(("position",), steps=4, learning_rate=0.1, rungs=(Rung(4),))

@@ -115,6 +115,17 @@ def test_what_cannot_be_searched_is_told(finder: GraspFinder, seen: tuple[Any, A
             finder.grasps(scene, **arguments)
 
 
+def test_images_may_be_asked_for(
+    model: GraspValue, seen: tuple[Any, Any, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(psi, "load_model", lambda name: model)
+    finder = GraspFinder.from_pretrained("any", images=5)
+    assert finder.method.images == 5
+    with pytest.raises(UserError, match="images is 5: the scene has 3"):
+        finder.observe(*seen)
+    GraspFinder.from_pretrained("any", images=3).observe(*seen)
+
+
 def test_the_package_offers_what_it_says() -> None:
     assert nerfgrasp.GraspFinder is GraspFinder
     assert all(hasattr(nerfgrasp, name) for name in nerfgrasp.__all__)

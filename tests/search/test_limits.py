@@ -14,6 +14,7 @@ from nerfgrasp.scenes.scene import Workspace
 from nerfgrasp.search import random_candidates
 from nerfgrasp.search.ascent import ascend
 from nerfgrasp.search.limits import Limits
+from nerfgrasp.search.schedule import SHORT_CLIMB
 
 WORKSPACE = Workspace()
 LIMITS = Limits(max_tilt=math.radians(60))
@@ -99,6 +100,39 @@ def test_a_clearance_without_room_is_told():
         UserError, match=r"clearance is 0.19 m: the workspace's height leaves room for 0.181. m at most"
     ):
         Limits(clearance=0.19).check_room(WORKSPACE)
+
+
+SHALLOW = Workspace(torch.tensor([-0.2, -0.2, 0.1]), torch.tensor([0.2, 0.2, 0.13]))
+"""30 mm high: a hand that is tilted far has no room above the table in it."""
+
+
+def within(T: torch.Tensor, limits: Limits, box: Workspace) -> bool:
+    """Says whether all grasps keep the limits and the box."""
+    inside = (T[..., :3, 3] >= box.minimum - 1e-5) & (T[..., :3, 3] <= box.maximum + 1e-5)
+    clear = ROBOTIQ_2F85.lowest(T) >= box.minimum[2] + limits.clearance - 1e-5
+    return bool(inside.all() & clear.all() & (-T[..., 2, 2] >= math.cos(limits.max_tilt) - 1e-5).all())
+
+
+def test_in_a_shallow_workspace_hands_are_turned_until_they_have_room():
+    drawn = random_candidates(512, SHALLOW, torch.Generator().manual_seed(0), LIMITS.max_tilt)
+    kept = LIMITS.enforce(drawn, SHALLOW)
+    assert within(kept, LIMITS, SHALLOW)
+    assert within(ANY_TILT.enforce(drawn, SHALLOW), ANY_TILT, SHALLOW)
+    turned = (kept != drawn)[:, :3, :3].any(dim=2).any(dim=1)
+    assert 0.2 < turned.float().mean() < 0.95
+    assert (kept[turned, 2, 3] > SHALLOW.maximum[2] - 1e-4).all()  # no more than it takes: they touch the top
+    assert torch.equal(kept[:, :2, 3], drawn[:, :2, 3])
+    one = drawn[turned][0]
+    assert torch.equal(LIMITS.enforce(one, SHALLOW), kept[turned][0])
+
+
+@pytest.mark.parametrize("name", ["quaternion", "screw"])  # decoupled, and a whole transform
+def test_a_climb_in_a_shallow_workspace_keeps_to_it_and_to_the_limits(name: str):
+    start = random_candidates(12, SHALLOW, torch.Generator().manual_seed(0))
+    pose = registry.load(registry.POSES, name)()
+    # Towards lying hands.
+    _, trace = ascend(lambda T: T[:, 2, 2] + T[:, 0, 3], start, pose, SHALLOW, SHORT_CLIMB, limits=LIMITS)
+    assert within(trace.T_world_grasp, LIMITS, SHALLOW)
 
 
 @pytest.mark.parametrize("changes", [{"max_tilt": -0.1}, {"max_tilt": math.nan}, {"clearance": -0.01}])

@@ -3,7 +3,7 @@ import torch
 from torch import Tensor
 
 from nerfgrasp.scenes.scene import Workspace
-from nerfgrasp.search.occupancy import grid, occupied_candidates
+from nerfgrasp.search.occupancy import grid, occupancy, occupied_candidates
 
 LOW, HIGH = torch.tensor([0.03, -0.06, 0.0]), torch.tensor([0.09, 0.03, 0.06])
 
@@ -22,15 +22,8 @@ class Block:
 
 def draw(model: Block, spacing: float = 0.01, seed: int = 0) -> Tensor:
     generator = torch.Generator().manual_seed(seed)
-    return occupied_candidates(
-        400,
-        Workspace(),
-        generator,
-        0.5,
-        model=model,
-        features=None,
-        spacing=spacing,  # type: ignore[arg-type]
-    )
+    occupied = occupancy(model, None, Workspace(), spacing)  # type: ignore[arg-type]
+    return occupied_candidates(400, Workspace(), generator, 0.5, occupied=occupied)
 
 
 def test_the_grid_fills_the_workspace() -> None:

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -9,6 +10,7 @@ from nerfgrasp.geometry import Camera, make_pose
 from nerfgrasp.models import GraspValueConfig
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.search import ascent, psi
+from nerfgrasp.search.occupancy import Occupancy, occupancy
 from nerfgrasp.search.psi import Psi
 from nerfgrasp.search.schedule import CLIMB, PAPER
 from nerfgrasp.search.strategies import GUIDED, RESAMPLE, Strategy, find_strategy
@@ -52,7 +54,7 @@ def seeded(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
-def finds(model: FakeValue, strategy: Strategy = RESAMPLE, images: int = 3) -> Psi:
+def finds(model: FakeValue, strategy: Strategy = RESAMPLE, images: int | None = None) -> Psi:
     return Psi(model, strategy=strategy, images=images, chunk=8)  # type: ignore[arg-type]
 
 
@@ -83,7 +85,18 @@ def test_images_are_seen_once_and_no_more_than_asked_for(workspace: Workspace) -
     model, few = FakeValue(), find_strategy(candidates=8, keep=2)
     finds(model, few).propose(observe(5), workspace, generator=seeded())
     finds(model, few, images=1).propose(observe(5), workspace, generator=seeded())
-    assert model.seen == [3, 2]
+    finds(model, few, images=4).propose(observe(5), workspace, generator=seeded())
+    finds(model, few).propose(observe(2), workspace, generator=seeded())
+    assert model.seen == [3, 2, 4, 2]
+
+
+def test_more_images_than_there_are_is_told(workspace: Workspace) -> None:
+    method = finds(FakeValue(), images=4)
+    for one in (method, method.with_schedule("paper")):
+        with pytest.raises(UserError, match="images is 4: the scene has 3"):
+            one.observe(observe(3), workspace)
+    with pytest.raises(UserError, match="images is 0: it must be at least 1"):
+        finds(FakeValue(), images=0)
 
 
 def test_an_observed_scene_is_searched_again_without_its_images(method: Psi, workspace: Workspace) -> None:
@@ -169,24 +182,72 @@ def test_a_guided_search_starts_where_something_is(
     method: Psi, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     starts: list[Tensor] = []
-    best_first = ascent.best_first
+    finite_first = ascent.finite_first
 
     def remember(T: Tensor, value: Tensor) -> Grasps:
         starts.append(T)
-        return best_first(T, value)
+        return finite_first(T, value)
 
-    monkeypatch.setattr(ascent, "best_first", remember)
+    monkeypatch.setattr(ascent, "finite_first", remember)
     _, trace = method.search(observe(3), workspace, generator=seeded(), strategy=find_strategy(candidates=40, keep=10))
     assert (starts[0][:, :2, 3].abs() < torch.tensor([0.023, 0.048])).all()  # the bar, and half a cell
     assert len(trace.value) == GUIDED.climb.steps + 1
+
+
+def test_the_default_search_comes_near_a_peak_on_what_is_seen(workspace: Workspace) -> None:
+    assert GUIDED.climbers is not None
+    assert GUIDED.keep is not None
+    assert GUIDED.keep > GUIDED.climbers
+    method = finds(FakeValue(), replace(GUIDED, climbers=16))  # of a smooth value's peaks there are not 32 to be had
+    observations = observe(3)
+    observations.images[0, :, 0, 0] = torch.tensor([0.0, 0.03, 0.05])  # on the bar
+    grasps, trace = method.search(observations, workspace, generator=seeded())
+    assert trace.value.shape == (GUIDED.climb.steps + 1, 16)
+    best = grasps.T_world_grasp[0]
+    assert float((best[:3, 3] - torch.tensor([0.0, 0.03, 0.05])).norm()) < 0.025  # polishing gives value for room
+    assert float(grasps.value[0]) > -1  # across the bar, its way free
+    assert 1 <= len(grasps) <= (GUIDED.weighed or 0)
+
+
+def test_where_something_is_is_asked_once_a_scene(
+    method: Psi, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[float] = []
+
+    def counted(model: object, features: object, box: object, spacing: float) -> Occupancy:
+        asked.append(spacing)
+        return occupancy(model, features, box, spacing)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(psi, "occupancy", counted)
+    guided = replace(GUIDED, candidates=12, keep=3)
+    scene = method.observe(observe(3), workspace)
+    first, again = (method.search(scene, generator=seeded(), strategy=guided)[0] for _ in range(2))
+    method.search(scene, generator=seeded(), strategy=replace(guided, spacing=0.03))
+    fresh, _ = method.search(observe(3), workspace, generator=seeded(), strategy=guided)
+    assert asked == [0.015, 0.03, 0.015]
+    assert torch.equal(first.T_world_grasp, again.T_world_grasp)
+    assert torch.equal(first.T_world_grasp, fresh.T_world_grasp)
+
+
+@pytest.mark.parametrize("name", ["guided", "resample"])
+def test_a_density_that_is_no_number_everywhere_is_told(name: str, method: Psi, workspace: Workspace) -> None:
+    model: Any = method.model
+    model.density = lambda features, points, directions: torch.full_like(points[..., 0], torch.nan)
+    few = find_strategy(name, candidates=12, keep=3)
+    with pytest.raises(UserError, match="no candidate has a finite value: the model's weights may be damaged"):
+        method.search(observe(3), workspace, generator=seeded(), strategy=few)
 
 
 def test_the_density_of_a_model_that_does_not_render_is_not_asked(workspace: Workspace) -> None:
     model = FakeValue()
     model.config = GraspValueConfig(renders=False)
     model.density = None  # type: ignore[assignment, method-assign]
-    grasps = finds(model, replace(GUIDED, rounds=GUIDED.rounds[:1])).propose(observe(3), workspace, generator=seeded())
+    method = finds(model, find_strategy(candidates=40, keep=10))
+    grasps, trace = method.search(observe(3), workspace, generator=seeded())
     assert torch.allclose(grasps.T_world_grasp[0, :3, 3], torch.tensor([0.05, 0.1, 0.15]), atol=0.02)
+    assert trace.value.shape == (CLIMB.steps + 1, 10)  # what was given, in the search that takes the guided one's place
+    assert method.strategy == replace(find_strategy("resample", candidates=40, keep=10), feasibility=None)
+    assert method.resolve(GUIDED) == method.with_schedule("guided").strategy == replace(RESAMPLE, feasibility=None)
 
 
 def test_a_search_trains_nothing(method: Psi, workspace: Workspace) -> None:

@@ -87,6 +87,18 @@ def test_a_result_that_is_no_candidate_is_not_followed(
     assert read(tmp_path / "search.rrd", "/value/median", "scalars") == [[0.0], [1.0]]
 
 
+def test_values_are_called_what_they_are(
+    path: Path, tmp_path: Path, observations: Observations, grasps: Grasps
+) -> None:
+    value = f"{float(grasps.value[0]):.2f}"
+    assert read(path, "/world/grasp", "labels") == [[f"Ψ {value}"]]
+    trace = Trace(grasps.T_world_grasp.expand(2, 2, 4, 4), torch.zeros(2, 2))
+    judged = recording.WITH_FEASIBILITY
+    recording.record_search(tmp_path / "search.rrd", observations, Workspace(), trace, grasps, judged=judged)
+    assert read(tmp_path / "search.rrd", "/world/grasp", "labels") == [[f"Ψ and feasibility {value}"]]
+    assert recording.CURVES_TITLE.startswith("Ψ during the climb (logit")
+
+
 def test_what_is_imagined_has_depth_in_metres(path: Path) -> None:
     for name in ("imagined", "from_grasp"):
         (buffer,) = read(path, f"/world/{name}/depth", "buffer")
