@@ -34,7 +34,7 @@ class Scripted:
     ) -> Grasps:
         self.seen.append(observations)
         T = self.script(observations, generator)
-        poses = torch.zeros(0, 4, 4) if T is None else T.view(-1, 4, 4)
+        poses = torch.zeros(0, 4, 4) if T is None else T.view(-1, 4, 4)[:count]
         return Grasps(poses, torch.full((len(poses),), 0.5))
 
 
@@ -148,6 +148,28 @@ def test_what_failed_is_not_repeated_until_a_success(script: Callable[..., Scrip
     assert chosen == ["again", "other"]
     assert [row.outcome for row in rows[:3]] == ["nothing_between_fingers"] * 2 + ["success"]
     assert len(rows) == 3 or rows[3].grasp["position"] == pytest.approx([0.0, 0.0, 0.4], abs=0.01)
+
+
+def test_what_failed_may_be_like_several_that_differ(script: Callable[..., Scripted]) -> None:
+    def propose(observations: Observations, generator: torch.Generator) -> torch.Tensor:
+        first = len(method.seen) == 1
+        return torch.stack([beside(x) for x in ((0.0,) if first else (-0.015, 0.015, 0.1))])
+
+    def beside(x: float) -> torch.Tensor:
+        T = high(None, None)  # type: ignore[arg-type]
+        T[0, 3] = x
+        return T
+
+    method = script(propose)
+    rows = [row for row, _ in run_scene(replace(REPEATED, task=replace(REPEATED.task, attempts=2)), 0)]
+    assert [row.grasp["position"][0] for row in rows] == pytest.approx([0.0, 0.1])
+
+
+def test_a_method_without_end_is_not_asked_forever(script: Callable[..., Scripted]) -> None:
+    method = script(lambda observations, generator: high(observations, generator).expand(10_000, 4, 4).contiguous())
+    rows = [row for row, _ in run_scene(replace(REPEATED, task=replace(REPEATED.task, attempts=2)), 0)]
+    assert rows[1].grasp == rows[0].grasp
+    assert len(method.seen) <= 12
 
 
 def test_where_all_has_failed_the_best_is_repeated(script: Callable[..., Scripted]) -> None:
