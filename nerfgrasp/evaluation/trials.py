@@ -179,9 +179,7 @@ def _observe(truth: Truth, camera: Camera, needs: frozenset[str]) -> Observation
     return Observations(colours, camera, depth, truth if "truth" in needs else None)
 
 
-def _untried(
-    method: Method, observations: Observations, attempt: tuple[int, int, int], failed: list[Tensor]
-) -> Grasps:
+def _untried(method: Method, observations: Observations, attempt: tuple[int, int, int], failed: list[Tensor]) -> Grasps:
     """Returns what a method proposes, less what is nearly the same as a grasp that failed; all, if it has no others.
 
     Many grasps that differ may be like one that failed. So while all of them are, twice as many are asked for, of the
