@@ -13,8 +13,10 @@ from torch import Tensor
 
 from nerfgrasp import __version__, registry
 from nerfgrasp.commands.publishing import publishing
+from nerfgrasp.commands.ranges import check_ranges
 from nerfgrasp.errors import UserError
-from nerfgrasp.files import read_json, write_json
+from nerfgrasp.evaluation.methods import method_of
+from nerfgrasp.files import write_json
 from nerfgrasp.models.folder import DEFAULT_MODEL, find_model
 from nerfgrasp.scenes.arrays import workspace_from_corners
 from nerfgrasp.scenes.folder import read_scene
@@ -75,7 +77,7 @@ def optimize(
     Raises:
         UserError: something asked for is not there, is damaged or cannot be written.
     """
-    _check(count=(count, 1), seed=(seed, 0))
+    check_ranges(count=count, seed=seed)
     strategy = find_strategy(schedule, candidates=candidates, keep=keep, max_tilt=max_tilt, clearance=clearance)
     find_device(device)
     found = read_scene(find_scene(scene))
@@ -135,12 +137,6 @@ def to_json(grasps: Grasps, settings: dict[str, Any]) -> dict[str, Any]:
     return {**header, "grasps": rows}
 
 
-def _check(**ranges: tuple[int, int]) -> None:
-    for name, (value, least) in ranges.items():
-        if value < least:
-            raise UserError(f"{name} is {value}: it must be at least {least}")
-
-
 def _box(numbers: list[float]) -> Workspace:
     if len(numbers) != 6:
         raise UserError(
@@ -151,9 +147,7 @@ def _box(numbers: list[float]) -> Workspace:
 
 def _load_method(name: str, folder: Path, device: str) -> Psi:
     """Loads a model by the method that its folder names."""
-    method = read_json(folder / "config.json").get("method")
-    if not isinstance(method, str):
-        raise UserError(f"model {name}: its config.json names no grasping method, so it finds no grasps")
+    method = method_of(folder, name)
     kind = registry.load(registry.BASELINES, method)
     if not (isinstance(kind, type) and issubclass(kind, Psi)):
         raise UserError(f"model {name}: its method {method!r} does not search by gradient ascent")

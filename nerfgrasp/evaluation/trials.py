@@ -14,7 +14,7 @@ from torch import Tensor
 
 from nerfgrasp import __version__
 from nerfgrasp.errors import UserError
-from nerfgrasp.evaluation.methods import Method, load_method
+from nerfgrasp.evaluation.methods import Method, blaming, described, load_method
 from nerfgrasp.evaluation.results import Row, Times
 from nerfgrasp.geometry import Camera, is_rigid, make_pose
 from nerfgrasp.scenes.images import IMAGE_SIZE
@@ -85,7 +85,7 @@ def run_scene(trials: Trials, scene: int) -> list[tuple[Row, Times]]:
     carried out.
 
     Raises:
-        UserError: the method cannot be loaded, or proposed what is no pose.
+        UserError: the method cannot be loaded, fails, or proposes what is no pose.
     """
     method = load_method(trials.method, trials.folder, trials.schedule)
     truth, attempts = trials.task.draw(trials.seed, scene), []
@@ -130,11 +130,15 @@ def _try(trials: Trials, method: Method, truth: Truth, number: int, failed: list
     """Makes one attempt, number `number` of a scene, in the scene as it is now; grasps that failed are not repeated."""
     camera = scene_cameras(truth.seed, truth.index, VIEWS, trials.size)
     clock = [time.perf_counter()]
-    observations = _observe(truth, camera, method.needs)
+    where = f"scene {truth.index}, attempt {number}"
+    with blaming(trials.method, where):
+        needs = frozenset(method.needs)
+    observations = _observe(truth, camera, needs)
     clock.append(time.perf_counter())
-    grasps = _untried(method, observations, (truth.seed, truth.index, number), failed)
+    with blaming(trials.method, where):
+        grasps = _untried(method, observations, (truth.seed, truth.index, number), failed)
     clock.append(time.perf_counter())
-    grasp, value = _recorded(grasps, f"method {trials.method!r}, scene {truth.index}, attempt {number}")
+    grasp, value = _recorded(grasps, f"{described(trials.method)}, {where}")
     attempt = _carry_out(truth, grasp)
     clock.append(time.perf_counter())
     row = Row(
@@ -188,6 +192,7 @@ def _untried(method: Method, observations: Observations, attempt: tuple[int, int
     count = 1 + len(failed)
     while True:
         grasps = method.propose(observations, workspace, generator=proposal_generator(*attempt), count=count)
+        _check(grasps)
         if len(grasps) == 0 or not failed:
             return grasps
         T = grasps.T_world_grasp.detach().cpu().double()
@@ -200,13 +205,22 @@ def _untried(method: Method, observations: Observations, attempt: tuple[int, int
         count = min(2 * count, _MOST_ASKED)
 
 
+def _check(grasps: object) -> None:
+    """Checks the form of what a stranger's method returned; what the best grasp is worth is seen later."""
+    if not isinstance(grasps, Grasps):
+        raise TypeError(f"propose returned {type(grasps).__name__}, not Grasps")
+    shapes = {name: tuple(getattr(grasps, name).shape) for name in ("T_world_grasp", "value")}
+    if shapes != {"T_world_grasp": (*shapes["value"][:1], 4, 4), "value": shapes["value"][:1]}:
+        raise ValueError(f"propose returned shapes {shapes}, not [N, 4, 4] and [N]")
+
+
 def _recorded(grasps: Grasps, where: str) -> tuple[dict[str, list[float]] | None, float | None]:
     """Returns the best grasp as results keep it, and its value; None for both if there is none."""
     if len(grasps) == 0:
         return None, None
     T, value = grasps.T_world_grasp[0].detach().cpu().double(), grasps.value[0].detach().cpu().double()
     if not (T.isfinite().all() and value.isfinite() and is_rigid(T)):
-        raise UserError(f"{where}: it proposed what is no pose, or a value that is no number")
+        raise UserError(f"{where}: it proposed what is no pose, or a value that is no number (the plug-in is at fault)")
     quaternion = roma.rotmat_to_unitquat(T[:3, :3])
     return {"position": T[:3, 3].tolist(), "quaternion": quaternion.tolist()}, float(value)
 

@@ -171,6 +171,7 @@ def test_execute_reports_the_outcome(
         (["--workspace=[0,0,0,1,.nan,1]"], "workspace: a corner holds a number that is not finite"),
         (["--workspace=[7,7,0,7.5,7.5,0.2]"], "camera 0 sees nothing of the workspace from (7, 7, 0) to"),
         (["--count=-1"], "count is -1"),
+        (["--seed=18446744073709551616"], "seed is 18446744073709551616: it must be from 0 to 4294967295"),
     ],
 )
 def test_mistakes_are_told_before_the_search(

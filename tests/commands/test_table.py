@@ -66,7 +66,9 @@ def test_a_method_whose_model_is_not_shipped_is_left_out(
     ("args", "line"),
     [
         (["--methods", "randm"], "unknown method 'randm': did you mean 'random'"),
-        (["--methods", "random", "--scenes", "0"], "scenes is 0: it must be at least 1"),
+        (["--methods", "random", "--scenes", "0"], "scenes is 0: it must be from 1 to 999999"),
+        (["--methods", "random", "--seeds", "0"], "seeds is 0: it must be from 1 to"),
+        (["--methods", "random", "random"], "methods: random and random are both called random"),
         (["--methods", "random", "--sceens", "3"], "--sceens 3 (did you mean --scenes?)"),
         (["--methods", "random", "--scale", "desk"], "desk"),
     ],

@@ -107,6 +107,32 @@ def test_what_is_no_pose_is_told(broken: torch.Tensor, script: Callable[..., Scr
         run_scene(SIMPLE, 0)
 
 
+@pytest.mark.parametrize(
+    ("returned", "message"),
+    [
+        (None, "TypeError: propose returned NoneType, not Grasps"),
+        (Grasps(torch.zeros(2, 3, 3), torch.zeros(2)), r"\(2, 3, 3\).* not \[N, 4, 4\]"),
+        (Grasps(torch.zeros(2, 4, 4), torch.zeros(3)), r"'value': \(3,\)"),
+        (Grasps(torch.zeros(4, 4), torch.tensor(1.0)), r"'value': \(\)"),
+        (Grasps(torch.zeros(1, 4, 4), [1.0]), "AttributeError: 'list'"),  # type: ignore[arg-type]
+        (ZeroDivisionError("of theirs"), "ZeroDivisionError: of theirs"),
+    ],
+)
+def test_a_faulty_method_is_named(
+    returned: Any, message: str, script: Callable[..., Scripted], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def propose(*args: Any, **kwargs: Any) -> Any:
+        if isinstance(returned, Exception):
+            raise returned
+        return returned
+
+    monkeypatch.setattr(script(high), "propose", propose)
+    where = "^method 'scripted', scene 0, attempt 0: "
+    with pytest.raises(UserError, match=f"{where}.*{message}.*the plug-in is at fault") as told:
+        run_scene(SIMPLE, 0)
+    assert told.value.__cause__ is not None, "what --debug shows"
+
+
 def test_attempts_draw_apart_and_the_same_again() -> None:
     def draw(*key: int) -> float:
         return torch.rand(1, generator=proposal_generator(*key)).item()
