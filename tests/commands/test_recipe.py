@@ -71,8 +71,8 @@ def test_trainings_are_the_configs_with_what_sets_them_apart(
     probe, model = config_of(found["no3-rate-3"], capsys), "model"
     arguments = probe[model]["init_args"]
     assert (arguments["learning_rate"], arguments["encoder_learning_rate"]) == pytest.approx((3e-3, 1.5e-3))
-    assert arguments["schedule"] == {"warmup_steps": 20, "decay": "cosine", "decay_steps": 600, "factor": 0.1}
-    assert probe["trainer"]["max_steps"] == probe["trainer"]["val_check_interval"] == 600
+    assert arguments["schedule"] == {"warmup_steps": 20, "decay": "cosine", "decay_steps": 300, "factor": 0.1}
+    assert probe["trainer"]["max_steps"] == probe["trainer"]["val_check_interval"] == 300
     assert probe["trainer"]["default_root_dir"] == "runs/no3_grasp-laptop-rate-3" == found["no3-rate-3"].run
     assert found["no3-head"].rivals[2] is found["no3-rate-3"]
     seed = config_of(found["mv3-head-seed1"], capsys)
