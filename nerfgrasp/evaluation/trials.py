@@ -209,9 +209,9 @@ def _check(grasps: object) -> None:
     """Checks the form of what a stranger's method returned; what the best grasp is worth is seen later."""
     if not isinstance(grasps, Grasps):
         raise TypeError(f"propose returned {type(grasps).__name__}, not Grasps")
-    shapes = {name: tuple(getattr(grasps, name).shape) for name in ("T_world_grasp", "value")}
-    if shapes != {"T_world_grasp": (*shapes["value"][:1], 4, 4), "value": shapes["value"][:1]}:
-        raise ValueError(f"propose returned shapes {shapes}, not [N, 4, 4] and [N]")
+    poses, values = tuple(grasps.T_world_grasp.shape), tuple(grasps.value.shape)
+    if len(values) != 1 or poses != (*values, 4, 4):
+        raise ValueError(f"propose returned poses {poses} and values {values}, not [N, 4, 4] and [N]")
 
 
 def _recorded(grasps: Grasps, where: str) -> tuple[dict[str, list[float]] | None, float | None]:

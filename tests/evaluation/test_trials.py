@@ -112,8 +112,8 @@ def test_what_is_no_pose_is_told(broken: torch.Tensor, script: Callable[..., Scr
     [
         (None, "TypeError: propose returned NoneType, not Grasps"),
         (Grasps(torch.zeros(2, 3, 3), torch.zeros(2)), r"\(2, 3, 3\).* not \[N, 4, 4\]"),
-        (Grasps(torch.zeros(2, 4, 4), torch.zeros(3)), r"'value': \(3,\)"),
-        (Grasps(torch.zeros(4, 4), torch.tensor(1.0)), r"'value': \(\)"),
+        (Grasps(torch.zeros(2, 4, 4), torch.zeros(3)), r"values \(3,\)"),
+        (Grasps(torch.zeros(4, 4), torch.tensor(1.0)), r"poses \(4, 4\) and values \(\)"),
         (Grasps(torch.zeros(1, 4, 4), [1.0]), "AttributeError: 'list'"),  # type: ignore[arg-type]
         (ZeroDivisionError("of theirs"), "ZeroDivisionError: of theirs"),
     ],
