@@ -20,7 +20,7 @@ from proposals import NO_ERRORS, load, observed
 from torch import Tensor
 
 from nerfgrasp.errors import UserError
-from nerfgrasp.evaluation.statistics import bootstrap_difference, mcnemar, wilson_interval
+from nerfgrasp.evaluation.statistics import difference_interval, mcnemar, wilson_interval
 from nerfgrasp.evaluation.tables import Table, format_tables
 from nerfgrasp.evaluation.trials import pose_errors
 from nerfgrasp.models import GraspValue
@@ -289,7 +289,8 @@ def differences_table(rows: Sequence[Row]) -> Table:
         p = f"{mcnemar(only_other, only_first):.3f}"
         lines.append((case, _difference(other, one), str(only_other), str(only_first), p, rise))
     header = ("case", "success [95 % interval]", "only this", "only first", "McNemar's p", "best value")
-    note = "Paired bootstrap over scenes; mean (standard error) of the difference in Ψ's best value."
+    how = "Paired bootstrap over scenes; Newcombe's interval where all are the same."
+    note = f"{how} Mean (standard error) of the difference in Ψ's best value."
     return Table(f"Less {first}, in the same scenes", header, tuple(lines), (note,))
 
 
@@ -312,8 +313,9 @@ def _mean(values: Sequence[float]) -> str:
 
 def _difference(one: np.ndarray, other: np.ndarray) -> str:
     difference = f"{one.mean() - other.mean():+.3f}"
-    if len(one) < 2:
-        return difference
     trials = np.ones(len(one))
-    low, high = bootstrap_difference((one, trials), (other, trials), np.random.default_rng(0))
+    interval = difference_interval((one, trials), (other, trials), np.random.default_rng(0))
+    if interval is None:
+        return difference
+    low, high = interval
     return f"{difference} [{low:+.3f}, {high:+.3f}]"

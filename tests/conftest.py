@@ -1,6 +1,8 @@
 """What every test may ask for."""
 
 import os
+import subprocess
+import sys
 
 # Before torch is imported here and in every process that a test starts: small tensors gain nothing by a second thread,
 # and on a busy machine two threads wait for each other most of the time.
@@ -188,6 +190,18 @@ def make_box() -> Callable[..., Path]:
         return folder / f"{name}.obj"
 
     return make
+
+
+@pytest.fixture(scope="session")
+def install() -> Callable[[Path, Path], None]:
+    """Returns a function that installs a distribution's source into a folder, by pip, without a network."""
+
+    def run(source: Path, target: Path) -> None:
+        options = ["--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--disable-pip-version-check"]
+        command = [sys.executable, "-m", "pip", "install", *options, "--target", str(target), str(source)]
+        subprocess.run(command, check=True)
+
+    return run
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 
-from nerfgrasp.commands.generate import check_ranges
+from nerfgrasp.commands.ranges import check_ranges
 from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.methods import find_method, load_method, method_hash, method_search
 from nerfgrasp.evaluation.parts import Parts
@@ -92,7 +92,7 @@ class Tally:
 
 def _run(trials: Trials, out: Path, scenes: int, workers: int | None, cluster: Cluster | None) -> list[Row]:
     parts, tally = Parts(out, trials.settings()), Tally()
-    parts.claim()
+    parts.claim(scenes)
     for scene in set(range(scenes)) - set(parts.missing(scenes)):
         tally.add(parts.read(scene)[0])
 

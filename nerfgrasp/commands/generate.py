@@ -5,6 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from nerfgrasp.commands.ranges import check_ranges
 from nerfgrasp.data.folders import FolderWriter
 from nerfgrasp.data.packed import PackedWriter
 from nerfgrasp.data.settings import SetSettings
@@ -16,14 +17,6 @@ from nerfgrasp.scenes.scene import Workspace
 if TYPE_CHECKING:  # a training machine has no simulator
     from nerfgrasp.sim.tasks import Task
 
-RANGES = {
-    "scenes": (1, 999_999),
-    "views": (1, 1000),
-    "seed": (0, 2**32 - 1),
-    "size": (16, 2048),
-    "workers": (1, 1024),
-}
-"""The least and the most that the commands take."""
 WRITERS: dict[str, type[PackedWriter] | type[FolderWriter]] = {"packed": PackedWriter, "folders": FolderWriter}
 
 
@@ -89,18 +82,6 @@ def generate(
     run_all(job, writer.missing, scenes, workers=workers, cluster=cluster, describe="generate", unit="scene")
     writer.clear()  # where a worker was lost, others were killed beside it
     _report(writer)
-
-
-def check_ranges(**values: int | None) -> None:
-    """Checks arguments by their names against `RANGES`; None is always right.
-
-    Raises:
-        UserError: one is out of its range.
-    """
-    for name, value in values.items():
-        least, most = RANGES[name]
-        if value is not None and not least <= value <= most:
-            raise UserError(f"{name} is {value}: it must be from {least} to {most}")
 
 
 def write_slot(writer: PackedWriter | FolderWriter, task: "Task", index: int) -> None:

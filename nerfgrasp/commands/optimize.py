@@ -13,8 +13,10 @@ from torch import Tensor
 
 from nerfgrasp import __version__, registry
 from nerfgrasp.commands.publishing import publishing
+from nerfgrasp.commands.ranges import check_ranges
 from nerfgrasp.errors import UserError
-from nerfgrasp.files import read_json, write_json
+from nerfgrasp.evaluation.methods import method_of
+from nerfgrasp.files import write_json
 from nerfgrasp.models.folder import DEFAULT_MODEL, find_model
 from nerfgrasp.scenes.arrays import workspace_from_corners
 from nerfgrasp.scenes.folder import read_scene
@@ -25,7 +27,6 @@ from nerfgrasp.search.ascent import Trace
 from nerfgrasp.search.devices import find_device
 from nerfgrasp.search.parameterization import load_pose
 from nerfgrasp.search.psi import Psi
-from nerfgrasp.search.ranges import check_number
 from nerfgrasp.search.ranking import distinct
 from nerfgrasp.search.strategies import DEFAULT_STRATEGY, Strategy, find_strategy
 from nerfgrasp.viz.figures import picture
@@ -80,9 +81,7 @@ def optimize(
     Raises:
         UserError: something asked for is not there, is damaged or cannot be written.
     """
-    check_number("count", count, 1)
-    check_number("seed", seed, 0)
-    check_number("images", images, 1)
+    check_ranges(count=count, seed=seed, images=images)
     strategy = find_strategy(schedule, candidates=candidates, keep=keep, max_tilt=max_tilt, clearance=clearance)
     find_device(device)
     found = read_scene(find_scene(scene))
@@ -178,9 +177,7 @@ def _box(numbers: list[float]) -> Workspace:
 
 def _load_method(name: str, folder: Path, device: str, images: int | None) -> Psi:
     """Loads a model by the method that its folder names."""
-    method = read_json(folder / "config.json").get("method")
-    if not isinstance(method, str):
-        raise UserError(f"model {name}: its config.json names no grasping method, so it finds no grasps")
+    method = method_of(folder, name)
     kind = registry.load(registry.BASELINES, method)
     if not (isinstance(kind, type) and issubclass(kind, Psi)):
         raise UserError(f"model {name}: its method {method!r} does not search by gradient ascent")

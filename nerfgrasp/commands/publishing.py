@@ -16,7 +16,8 @@ def publishing(out: Path) -> Iterator[Path]:
     """Yields a temporary folder whose files move into `out` when the block ends well.
 
     `out` is made and tried at once, so that a folder that cannot be written is refused before any work is done;
-    if the block fails, what was made is removed again. Other files in `out` stay as they are.
+    if the block fails, what was made is removed again. Other files in `out` stay as they are, but for the temporary
+    folders that killed processes left there.
 
     Raises:
         UserError: `out` cannot be made or written, or the disk is full.
@@ -25,6 +26,7 @@ def publishing(out: Path) -> Iterator[Path]:
     temporary = out / f".{os.getpid()}.tmp"
     try:
         make_folder(out)
+        _remove_abandoned(out)
         make_folder(temporary)
         _try_writing(temporary)
         yield temporary
@@ -35,6 +37,24 @@ def publishing(out: Path) -> Iterator[Path]:
             _remove_if_empty(folder)
         raise
     remove(temporary)
+
+
+def _remove_abandoned(out: Path) -> None:
+    """Removes temporary folders of processes that are no more; others may be at work on results of their own."""
+    for path in out.glob(".*.tmp"):
+        process = path.name.split(".")[1]
+        if process.isdecimal() and path.is_dir() and not _lives(int(process)):
+            remove(path)
+
+
+def _lives(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        pass
+    return True
 
 
 def _try_writing(folder: Path) -> None:

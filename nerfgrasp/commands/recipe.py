@@ -1,8 +1,11 @@
 """The paper's table as a list of stages: data, backbones, heads, baselines, evaluation, report."""
 
+import hashlib
+import json
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,7 +13,7 @@ from nerfgrasp import registry
 from nerfgrasp.commands.configs import read_configs
 from nerfgrasp.commands.stages import Stage
 from nerfgrasp.errors import UserError, unknown_name
-from nerfgrasp.evaluation.methods import find_method, load_method
+from nerfgrasp.evaluation.methods import find_method, load_method, method_hash
 from nerfgrasp.models.folder import shipped_models
 
 Scale = Literal["laptop", "paper"]
@@ -89,24 +92,57 @@ def table_stages(experiment: Experiment) -> list[Stage]:
     """Returns the stages in an order in which they can be done, each method's trials right after its training.
 
     Raises:
-        UserError: a method or a config does not exist, or a method is named twice.
+        UserError: a method or a config does not exist, or the report could not tell two rows from each other.
     """
+    rows = [_row(experiment, name) for name in experiment.methods]
+    _check_rows(rows)
     stages: list[Stage] = []
-    for name in experiment.methods:
-        learned = LEARNED.get(name)
-        if learned is None:
-            label, model = _other(name)
-            stages += _trials(experiment, label, label, model)
-        elif experiment.evaluate_only:
-            stages += _trials(experiment, name, learned.label, shipped_name(name, experiment.scale))
+    for row in rows:
+        if row.model is not None:
+            stages += _trials(experiment, row.name if row.name in LEARNED else row.label, row.label, row.model)
         else:
             made = {stage.name for stage in stages}
-            stages += [stage for stage in _training(experiment, name, learned) if stage.name not in made]
-    names = [stage.name for stage in stages]
+            stages += [stage for stage in _training(experiment, row.name, LEARNED[row.name]) if stage.name not in made]
+    # Files are named by them, and on some disks a name is the same in capitals.
+    names = [stage.name.lower() for stage in stages]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise UserError(f"methods: {' '.join(experiment.methods)}: stage {twice} is there twice")
     return [*stages, _report(stages)]
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One of the methods asked for."""
+
+    name: str
+    """As it was asked for."""
+    label: str
+    """What it is called in the table."""
+    model: str | None
+    """What `evaluate` takes; None if it is trained first."""
+
+
+def _row(experiment: Experiment, name: str) -> _Row:
+    learned = LEARNED.get(name)
+    if learned is None:
+        return _Row(name, *_other(name))
+    return _Row(name, learned.label, shipped_name(name, experiment.scale) if experiment.evaluate_only else None)
+
+
+def _check_rows(rows: list[_Row]) -> None:
+    """Refuses what the report would refuse once everything has been run: one name for two, or one model twice."""
+    for one, other in combinations(rows, 2):
+        if one.label.lower() == other.label.lower():
+            raise UserError(f"methods: {one.name} and {other.name} are both called {one.label}: give one another name")
+    known: dict[tuple[str, str | None], str] = {}
+    for row in rows:
+        if row.model is not None:
+            method, folder = find_method(row.model)
+            identity = method, method_hash(load_method(method, folder))
+            if identity in known:
+                raise UserError(f"methods: {known[identity]} and {row.name} are the same model: give one of them")
+            known[identity] = row.name
 
 
 def _other(name: str) -> tuple[str, str]:
@@ -120,7 +156,6 @@ def _other(name: str) -> tuple[str, str]:
     registered = registry.names(registry.BASELINES)
     if name not in registered:
         raise unknown_name("method", name, [*LEARNED, *registered])
-    load_method(name, None)
     return name, name
 
 
@@ -180,7 +215,8 @@ def _fit(
     logger = ["--trainer.logger", "CSVLogger", "--trainer.logger.save_dir", folder]
     moved = [] if run is None else ["--trainer.default_root_dir", run]
     sets = tuple(stage.name for stage in _data(experiment, config))
-    return Stage(name, ("fit", *files, *logger, *moved, *changes), (*needs, *sets), folder, **more)
+    command = ("fit", *files, *logger, *moved, *changes)
+    return Stage(name, command, (*needs, *sets), folder, config=_config_hash(experiment, config), **more)
 
 
 def _data(experiment: Experiment, config: str) -> list[Stage]:
@@ -229,3 +265,9 @@ def _files(experiment: Experiment, config: str) -> list[str]:
 
 def _config(experiment: Experiment, config: str) -> dict[str, Any]:
     return read_configs(_files(experiment, config), experiment.folder)
+
+
+def _config_hash(experiment: Experiment, config: str) -> str:
+    """Returns 16 hexadecimal digits of the SHA-256 of what a config says, however it is written down."""
+    text = json.dumps(_config(experiment, config), sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

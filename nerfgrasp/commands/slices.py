@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 from nerfgrasp import __version__
 from nerfgrasp.commands.publishing import publishing
+from nerfgrasp.commands.ranges import check_ranges
 from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.slices import central_grasp, learned_values, means_by_kind, rank_correlation, true_values
 from nerfgrasp.files import write_json
@@ -29,7 +30,6 @@ NOTE = (
     "truth: the negative grasp error -(d / 50 mm + angle / 45 deg) / 2; values are logits, comparable within one scene"
     " and model only; correlations are Spearman's, over the poses in the workspace"
 )
-LEAST_SIZE = 2
 
 
 @dataclass(frozen=True)
@@ -155,14 +155,11 @@ def _check(models: Sequence[str], names: Sequence[str], size: int, reach: float 
         for place, name in enumerate(given):
             if name in given[:place]:
                 raise UserError(f"--{option} names {name} twice")
-    if size < LEAST_SIZE:
-        raise UserError(f"size is {size}: it must be at least {LEAST_SIZE}")
+    check_ranges("slices", size=size, seed=seed)
     if reach is not None and not 0 < reach < math.inf:
         raise UserError(f"reach is {reach}: it must be a positive number of metres")
     if not 0 < turn <= 180:
         raise UserError(f"turn is {turn}: it must be more than 0 and at most 180 degrees")
-    if seed < 0:
-        raise UserError(f"seed is {seed}: it must be at least 0")
 
 
 def _compare(

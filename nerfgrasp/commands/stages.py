@@ -48,6 +48,8 @@ class Stage:
     """Of a rival: the arguments that set it apart."""
     gives: str = ""
     """The argument by which a later stage takes up its result."""
+    config: str | None = None
+    """Of a `fit`: the hash of what its configs say, which its command only names."""
     again: bool = False
     """Whether it is run every time, because it takes no time and what it reads may have changed."""
 
@@ -64,6 +66,8 @@ class Record:
     """When it ended well, or diverged; None if it has not."""
     diverged: str | None = None
     """Of a rival: at which step its loss or gradient was not finite, and what it was; None if all were."""
+    config: str | None = None
+    """The stage's, when it was begun; None where that was not noted."""
 
 
 @dataclass
@@ -92,19 +96,15 @@ class Work:
         program: what takes their arguments.
 
     Raises:
-        UserError: a stage is recorded there that was another command.
+        UserError: a stage is recorded there that was another command, or of another config.
     """
 
     def __init__(self, folder: Path, stages: Sequence[Stage], program: Sequence[str] = PROGRAM) -> None:
         self.folder, self.stages, self.program = folder, tuple(stages), program
         for stage in stages:
             record = self.record(stage)
-            # What rivals give is known only once they are done, and always comes last.
-            if record is not None and not stage.again and not f"{record.command} ".startswith(f"{typed(stage)} "):
-                raise UserError(
-                    f"stage {stage.name} in {folder} was another command ({record.command}), now {typed(stage)}: "
-                    "give a new folder"
-                )
+            if record is not None and not stage.again:
+                self._check(stage, record)
 
     def record(self, stage: Stage) -> Record | None:
         """Returns what is recorded of a stage; a damaged record is a UserError."""
@@ -116,6 +116,17 @@ class Work:
         except TypeError as error:
             raise UserError(f"{path} is damaged ({error}): remove it") from error
 
+    def _check(self, stage: Stage, record: Record) -> None:
+        was = f"stage {stage.name} in {self.folder} was"
+        # What rivals give is known only once they are done, and always comes last.
+        if not f"{record.command} ".startswith(f"{typed(stage)} "):
+            raise UserError(f"{was} another command ({record.command}), now {typed(stage)}: give a new folder")
+        if None not in (record.config, stage.config) and record.config != stage.config:
+            raise UserError(
+                f"{was} begun when its configs said something else ({record.config}, now {stage.config}): "
+                "restore them, or give a new folder"
+            )
+
     def done(self, stage: Stage) -> bool:
         """Returns whether a stage need not be run."""
         record = self.record(stage)
@@ -126,7 +137,8 @@ class Work:
         record = self.record(stage)
         if record is None:
             return "to do"
-        how = "diverged," if record.diverged else "done in" if record.finished else "begun,"
+        begun = "running," if self._runs(stage) else "begun,"
+        how = "diverged," if record.diverged else "done in" if record.finished else begun
         return f"{how} {clock(record.seconds)}"
 
     def run(self, jobs: int = 1) -> None:
@@ -169,7 +181,8 @@ class Work:
 
     def _start(self, stage: Stage, jobs: int, lock: int) -> Running:
         command = [*stage.command, *(self._best(stage).options if stage.rivals else ())]
-        before = replace(self.record(stage) or Record(""), command=as_typed(command), finished=None)
+        noted = self.record(stage) or Record("")
+        before = replace(noted, command=as_typed(command), finished=None, config=stage.config)
         if stage.run is not None and any((self.folder / stage.run / "checkpoints").glob("last*.ckpt")):
             command += ["--ckpt_path", "last"]
         number = self.stages.index(stage) + 1
@@ -179,6 +192,8 @@ class Work:
         write_json(self._path(stage, ".json"), asdict(before))
         since = time.time()
         with self._path(stage, ".log").open("ab") as log:
+            # Held by the command, which writes to it, for as long as it runs: see `_runs`.
+            fcntl.flock(log, fcntl.LOCK_SH)
             process = subprocess.Popen(
                 [*self.program, *command],
                 cwd=self.folder,
@@ -253,6 +268,17 @@ class Work:
     def _loss(self, rival: Stage) -> float:
         record = self.record(rival)
         return math.inf if record and record.diverged else held_out_loss(self.folder / str(rival.run))
+
+    def _runs(self, stage: Stage) -> bool:
+        """Returns whether a stage's command runs now, whoever started it, by the lock on its log."""
+        try:
+            with self._path(stage, ".log").open("rb") as log:
+                fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except FileNotFoundError:
+            return False
+        except BlockingIOError:
+            return True
+        return False
 
     def _path(self, stage: Stage, suffix: str) -> Path:
         return self.folder / FOLDER / f"{stage.name}{suffix}"

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from nerfgrasp.commands.parsing import Parser, flags_set
+from nerfgrasp.commands.ranges import check_ranges
 from nerfgrasp.commands.recipe import LEARNED, TABLE, Experiment, Scale, not_shipped, shipped_name, table_stages
 from nerfgrasp.commands.stages import Work, clock, typed
 from nerfgrasp.errors import UserError
@@ -12,8 +13,6 @@ from nerfgrasp.sim.catalogue import chosen_folder, open_catalogue
 
 TIMES = "times.md"
 """What each stage took."""
-RANGES = {"scenes": 1, "clutter_scenes": 0, "novel_poses": 0, "seeds": 1, "jobs": 1}
-"""The least that is taken."""
 
 
 def main(args: list[str]) -> None:
@@ -68,7 +67,7 @@ def table(
         UserError: a method or config does not exist, no model of any method is shipped, OUT holds another table, or a
             command failed.
     """
-    _check(scenes=scenes, clutter_scenes=clutter_scenes, novel_poses=novel_poses, seeds=seeds, jobs=jobs)
+    check_ranges(scenes=scenes, clutter_scenes=clutter_scenes, novel_poses=novel_poses, seeds=seeds, jobs=jobs)
     # As an absolute path: the commands run in another folder.
     objects = chosen_folder(objects) if novel_poses else None
     novel = novel_poses * len(open_catalogue(objects).names) if novel_poses else 0
@@ -85,12 +84,6 @@ def table(
     else:
         for stage in work.stages:
             print(f"{stage.name:<24} {work.state(stage):<20} {typed(stage)}")
-
-
-def _check(**values: int) -> None:
-    for name, value in values.items():
-        if value < RANGES[name]:
-            raise UserError(f"{name} is {value}: it must be at least {RANGES[name]}")
 
 
 def _shipped(methods: list[str], scale: Scale) -> list[str]:

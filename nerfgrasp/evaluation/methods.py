@@ -1,5 +1,7 @@
 """The methods that are evaluated: found by a registered name, or by the model folder that names one."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from inspect import Parameter, signature
 from pathlib import Path
@@ -54,10 +56,23 @@ def find_method(name: str) -> tuple[str, str | None]:
         if Path(name).name != name:
             raise
         raise unknown_name("method (and no model)", name, registry.names(registry.BASELINES)) from error
+    return registry.find(registry.BASELINES, method_of(folder, name)).name, str(folder)
+
+
+def method_of(folder: Path, name: str) -> str:
+    """Returns the registered name of the method that a model is for, as its folder says.
+
+    Args:
+        folder: the model's.
+        name: what the user called it.
+
+    Raises:
+        UserError: its `config.json` names none, or cannot be read.
+    """
     method = read_json(folder / "config.json").get("method")
     if not isinstance(method, str):
         raise UserError(f"model {name}: its config.json names no grasping method, so it finds no grasps")
-    return registry.find(registry.BASELINES, method).name, str(folder)
+    return method
 
 
 @lru_cache(maxsize=1)
@@ -70,18 +85,55 @@ def load_method(name: str, folder: str | None, schedule: str | None = None) -> M
         schedule: how it is to search, by name, for a method with a `with_schedule(name)`; None for its own way.
 
     Raises:
-        UserError: it cannot be loaded, it has no default, or no such schedule.
+        UserError: it cannot be loaded, it has no default, or no such schedule; or its code is at fault.
     """
-    loader = registry.load(registry.BASELINES, name).from_pretrained
-    parameter = next(iter(signature(loader).parameters.values()))
-    if folder is None and parameter.default is Parameter.empty:
-        raise UserError(f"method {name!r} needs a model: give the model's folder instead of the method's name")
-    method: Method = loader() if folder is None else loader(folder)
+    kind = registry.load(registry.BASELINES, name)
+    with blaming(name, "from_pretrained"):
+        parameters = list(signature(kind.from_pretrained).parameters.values())
+        if not parameters:
+            raise TypeError("it takes no folder")
+        if folder is None and parameters[0].default is Parameter.empty:
+            raise UserError(f"method {name!r} needs a model: give the model's folder instead of the method's name")
+        method: Method = kind.from_pretrained() if folder is None else kind.from_pretrained(folder)
     if schedule is None:
         return method
     if not isinstance(method, Schedulable):
         raise UserError(f"method {name!r} has no search schedules: leave schedule {schedule!r} out")
-    return method.with_schedule(schedule)
+    with blaming(name, "with_schedule"):
+        return method.with_schedule(schedule)
+
+
+@contextmanager
+def blaming(name: str, where: str) -> Iterator[None]:
+    """Tells in one line of an error in a method's code, which is nobody's mistake but its author's.
+
+    Its traceback is what `--debug` shows. What the method tells the user itself, by a UserError, stays as it is.
+
+    Args:
+        name: as registered.
+        where: what was asked of it, e.g. `scene 3, attempt 0`.
+
+    Raises:
+        UserError: the block raised; it names the method, its class, distribution and version.
+    """
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:  # a stranger's code may raise anything
+        cause = " ".join(f"{type(error).__name__}: {error}".split())
+        raise UserError(f"{described(name)}, {where}: {cause} (the plug-in is at fault)") from error
+
+
+def described(name: str) -> str:
+    """Returns a method's name with its class, distribution and version, where it is registered.
+
+    Example:
+        >>> described("psi").partition(" of ")[0]
+        "method 'psi' (nerfgrasp.search.psi:Psi"
+    """
+    found = [f" ({entry})" for entry in registry.entries(registry.BASELINES) if entry.name == name]
+    return f"method {name!r}{''.join(found)}"
 
 
 def method_search(method: Method) -> str | None:

@@ -33,11 +33,14 @@ class Parts:
         self.out, self.settings = out, settings
         self.folder = out.with_name(f"{out.name}.parts")
 
-    def claim(self) -> None:
+    def claim(self, scenes: int) -> None:
         """Makes the folder, or takes up what a killed run left there.
 
+        Args:
+            scenes: how many are to be published; finished ones after those would be lost.
+
         Raises:
-            UserError: it belongs to another command, or cannot be written.
+            UserError: it belongs to another command, holds scenes that would be lost, or cannot be written.
         """
         make_folder(self.folder)
         remove_temporaries(self.folder)
@@ -48,6 +51,12 @@ class Parts:
         if not settings.exists():
             write_json(settings, self.settings)
         self._check(read_json(settings))
+        last = max((int(path.stem) for path in self.folder.glob("[0-9]*.json")), default=-1)
+        if last >= scenes:
+            raise UserError(
+                f"{self.folder} was left by another command: it holds scene {last}, asked for {scenes} scenes; "
+                "ask for as many as that command, or remove the folder"
+            )
 
     def discard(self) -> None:
         """Removes what a run left that was killed after it had published; another command's folder stays."""

@@ -12,17 +12,17 @@ from nerfgrasp.evaluation.measures import SUCCESS_RATE, TASKS, Measure, clusters
 from nerfgrasp.evaluation.paper import paper_table
 from nerfgrasp.evaluation.runs import SUCCESS, Run, common_scenes
 from nerfgrasp.evaluation.statistics import (
-    bootstrap_difference,
-    bootstrap_rate,
+    difference_interval,
     mcnemar,
-    newcombe_interval,
+    permutation_test,
+    rate_interval,
     wilson_interval,
 )
 from nerfgrasp.evaluation.tables import Table
 from nerfgrasp.sim.physics import physics_hash
 
 SEED = 0
-"""Of every bootstrap: a report of the same files is the same."""
+"""Of every bootstrap and permutation test: a report of the same files is the same."""
 FEW_CLUSTERS = 20
 """Bootstraps over fewer are known to give too narrow intervals."""
 
@@ -90,19 +90,24 @@ def trainings_table(runs: Sequence[Run]) -> Table:
 def differences_table(runs: Sequence[Run]) -> Table:
     """Returns one task's paired differences between every two methods, over the scenes that both were tried in."""
     task = TASKS[runs[0].task]
-    names = [f"{measure.name} [95 % interval]" for measure in task.measures]
     paired = task.cluster == "attempt"
+    names = [f"{measure.name} [95 % interval]" for measure in task.measures]
+    if not paired:
+        names = [
+            name for measure, name in zip(task.measures, names, strict=True) for name in (name, f"{measure.name}: p")
+        ]
     header = ("methods", "scenes", *names, *(("only first", "only second", "McNemar's p") if paired else ()))
     rows = []
     for one, other in combinations(runs, 2):
         scenes = common_scenes(one, other)
-        cells = [_difference(one, other, scenes, measure) for measure in task.measures]
+        cells = [cell for measure in task.measures for cell in _compared(one, other, scenes, measure, not paired)]
         cells += _mcnemar(one, other, scenes) if paired else []
         rows.append((f"{one.label} - {other.label}", str(len(scenes)), *cells))
     over = "objects" if task.cluster == "object" else "scenes"
-    how = f"paired bootstrap over {over}; Newcombe's if both rates are 0 or 1"
-    note = f"First less second, in the same scenes; intervals: {how}."
-    return Table(f"{runs[0].task}: paired differences", header, tuple(rows), (note,))
+    how = f"paired bootstrap over {over}; Newcombe's, of as many trials as {over}, if the difference is the same in all"
+    notes = [f"First less second, in the same scenes; intervals: {how}."]
+    notes += [] if paired else [f"p: paired permutation test over {over}, two-sided."]
+    return Table(f"{runs[0].task}: paired differences", header, tuple(rows), tuple(notes))
 
 
 def outcomes_table(runs: Sequence[Run]) -> Table:
@@ -155,7 +160,8 @@ def times_table(runs: Sequence[Run]) -> Table:
 def _notes(runs: Sequence[Run], tasks: Sequence[str]) -> tuple[str, ...]:
     notes = [_note([run for run in runs if run.task == task]) for task in tasks]
     if any(TASKS[task].cluster != "attempt" for task in tasks):
-        notes.append("A rate of 0 or 1 gives a bootstrap nothing to resample: Wilson's interval, of as many clusters.")
+        line = "A rate that is the same in all gives a bootstrap nothing to resample"
+        notes.append(f"{line}: Wilson's interval, of as many clusters.")
     names = {measure.name for task in tasks for measure in TASKS[task].measures}
     meanings = [meaning for name, meaning in _MEANINGS.items() if name in names]
     notes += [f"success: of all attempts; {'; '.join(meanings)}."] if meanings else []
@@ -192,12 +198,7 @@ def _rate(run: Run, measure: Measure) -> str:
     won, trials = _columns(run, measure, sorted(run.scenes))
     if TASKS[run.task].cluster == "attempt":
         return _wilson(int(won.sum()), int(trials.sum()))
-    rate = _value(run, measure)
-    if rate in (0, 1):
-        # Nothing varies, so resampling would claim certainty.
-        return _with_interval(rate, wilson_interval(int(rate) * len(trials), len(trials)))
-    interval = bootstrap_rate(won, trials, np.random.default_rng(SEED)) if len(trials) > 1 else None
-    return _with_interval(rate, interval)
+    return _with_interval(_value(run, measure), rate_interval(won, trials, np.random.default_rng(SEED)))
 
 
 def _value(run: Run, measure: Measure) -> float:
@@ -213,25 +214,25 @@ def _wilson(successes: int, trials: int) -> str:
     return _with_interval(successes / trials, wilson_interval(successes, trials))
 
 
-def _difference(one: Run, other: Run, scenes: Sequence[int], measure: Measure) -> str:
+def _compared(one: Run, other: Run, scenes: Sequence[int], measure: Measure, test: bool) -> list[str]:
+    """Returns the difference of two rates with its interval and, if asked for, the permutation test's p."""
     if not scenes:
-        return ""
+        return [""] * (1 + test)
     first, second = _columns(one, measure, scenes), _columns(other, measure, scenes)
-    rates, count = [won.sum() / trials.sum() for won, trials in (first, second)], len(first[0])
-    interval = None
-    if all(rate in (0, 1) for rate in rates):
-        # As in `_rate`.
-        interval = newcombe_interval((int(rates[0]) * count, count), (int(rates[1]) * count, count))
-    elif count > 1:
-        interval = bootstrap_difference(first, second, np.random.default_rng(SEED))
-    return _with_interval(rates[0] - rates[1], interval, "+.2f")
+    rates = [won.sum() / trials.sum() for won, trials in (first, second)]
+    interval = difference_interval(first, second, np.random.default_rng(SEED))
+    cells = [_with_interval(rates[0] - rates[1], interval, "+.2f")]
+    return [*cells, _p(permutation_test(first, second, np.random.default_rng(SEED)))] if test else cells
 
 
 def _mcnemar(one: Run, other: Run, scenes: Sequence[int]) -> list[str]:
     pairs = [(successes(one.scenes[scene])[0] > 0, successes(other.scenes[scene])[0] > 0) for scene in scenes]
     only_first, only_second = pairs.count((True, False)), pairs.count((False, True))
-    p = mcnemar(only_first, only_second)
-    return [str(only_first), str(only_second), "< 0.001" if p < 0.001 else f"{p:.3f}"]
+    return [str(only_first), str(only_second), _p(mcnemar(only_first, only_second))]
+
+
+def _p(p: float) -> str:
+    return "< 0.001" if p < 0.001 else f"{p:.3f}"
 
 
 def _with_interval(rate: float, interval: tuple[float, float] | None, form: str = ".2f") -> str:

@@ -62,14 +62,14 @@ def learned_values(
         progress: is told how many more poses are done.
 
     Raises:
-        UserError: there are too few views, or a value is not finite.
+        UserError: there are too few views, one sees nothing of the workspace, or a value is not finite.
     """
-    features = method.model.observe(observations.select(slice(method.images)), workspace)
+    features = method.observe(observations, workspace).features
     found = []
     for cut in cuts:
         values = [cut.T_world_grasp.new_zeros(0)]
         for poses in cut.T_world_grasp[cut.inside].split(method.chunk):
-            values.append(method.model.value(features, poses))
+            values.append(method.model.value(features, poses.to(method.device)).cpu())
             progress(len(poses))
         if not all(part.isfinite().all() for part in values):
             raise UserError(f"values in slice {cut.name} are not finite: the model's weights may be damaged")

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from nerfgrasp import __version__
 from nerfgrasp.errors import UserError
-from nerfgrasp.evaluation.methods import Method, load_method
+from nerfgrasp.evaluation.methods import Method, blaming, described, load_method
 from nerfgrasp.evaluation.results import Row, Times
 from nerfgrasp.geometry import Camera, is_rigid, make_pose
 from nerfgrasp.scenes.images import IMAGE_SIZE
@@ -33,6 +33,8 @@ VIEWS = 3
 """Pictures that a method is given."""
 _PROPOSAL_STREAM = 1000
 """Attempt k of a scene draws from its stream 1000 + k."""
+_MOST_ASKED = 1000
+"""Grasps that a method is asked for at most, where all that it proposes have failed."""
 
 
 @dataclass(frozen=True)
@@ -79,11 +81,12 @@ def run_scene(trials: Trials, scene: int) -> list[tuple[Row, Times]]:
     """Returns every attempt of a method in one scene; a pure function of its arguments, but for the times.
 
     Each attempt looks anew, at what the last one left, and draws from a random stream of its own. After an object
-    was lifted it is gone; the scene ends when the table is empty. What failed since the last success is not repeated:
-    of the grasps that the method proposes, the best one that is not nearly the same is carried out.
+    was lifted it is gone; the scene ends when the table is empty. What failed since the last success is not repeated
+    while the method has anything else: of the grasps that it proposes, the best one that is not nearly the same is
+    carried out.
 
     Raises:
-        UserError: the method cannot be loaded, or proposed what is no pose.
+        UserError: the method cannot be loaded, fails, or proposes what is no pose.
     """
     method = load_method(trials.method, trials.folder, trials.schedule)
     truth, attempts = trials.task.draw(trials.seed, scene), []
@@ -128,14 +131,15 @@ def _try(trials: Trials, method: Method, truth: Truth, number: int, failed: list
     """Makes one attempt, number `number` of a scene, in the scene as it is now; grasps that failed are not repeated."""
     camera = scene_cameras(truth.seed, truth.index, VIEWS, trials.size)
     clock = [time.perf_counter()]
-    observations = _observe(truth, camera, method.needs)
+    where = f"scene {truth.index}, attempt {number}"
+    with blaming(trials.method, where):
+        needs = frozenset(method.needs)
+    observations = _observe(truth, camera, needs)
     clock.append(time.perf_counter())
-    generator = proposal_generator(truth.seed, truth.index, number)
-    grasps = method.propose(observations, workspace, generator=generator, count=1 + len(failed))
+    with blaming(trials.method, where):
+        grasps = _untried(method, observations, (truth.seed, truth.index, number), failed)
     clock.append(time.perf_counter())
-    grasp, value = _recorded(
-        _untried(grasps, failed), f"method {trials.method!r}, scene {truth.index}, attempt {number}"
-    )
+    grasp, value = _recorded(grasps, f"{described(trials.method)}, {where}")
     attempt = _carry_out(truth, grasp)
     clock.append(time.perf_counter())
     row = Row(
@@ -181,14 +185,35 @@ def _observe(truth: Truth, camera: Camera, needs: frozenset[str]) -> Observation
     return Observations(colours, camera, depth, truth if "truth" in needs else None)
 
 
-def _untried(grasps: Grasps, failed: list[Tensor]) -> Grasps:
-    """Returns grasps `[N]` without those that are nearly the same as one that failed; all, if that leaves none."""
-    if len(grasps) == 0 or not failed:
-        return grasps
-    T = grasps.T_world_grasp.detach().cpu().double()
-    again = alike(T[:, None], torch.stack(failed)).any(dim=1)
-    kept = torch.nonzero(~again)[:, 0]
-    return grasps if len(kept) == 0 else Grasps(T[kept], grasps.value.detach().cpu()[kept])
+def _untried(method: Method, observations: Observations, attempt: tuple[int, int, int], failed: list[Tensor]) -> Grasps:
+    """Returns what a method proposes, less what is nearly the same as a grasp that failed; all, if it has no others.
+
+    Many grasps that differ may be like one that failed. So while all of them are, twice as many are asked for, of the
+    same random stream, until no more come.
+    """
+    count = 1 + len(failed)
+    while True:
+        grasps = method.propose(observations, workspace, generator=proposal_generator(*attempt), count=count)
+        _check(grasps)
+        if len(grasps) == 0 or not failed:
+            return grasps
+        T = grasps.T_world_grasp.detach().cpu().double()
+        again = alike(T[:, None], torch.stack(failed)).any(dim=1)
+        kept = torch.nonzero(~again)[:, 0]
+        if len(kept):
+            return Grasps(T[kept], grasps.value.detach().cpu()[kept])
+        if len(grasps) < count or count >= _MOST_ASKED:
+            return grasps
+        count = min(2 * count, _MOST_ASKED)
+
+
+def _check(grasps: object) -> None:
+    """Checks the form of what a stranger's method returned; what the best grasp is worth is seen later."""
+    if not isinstance(grasps, Grasps):
+        raise TypeError(f"propose returned {type(grasps).__name__}, not Grasps")
+    poses, values = tuple(grasps.T_world_grasp.shape), tuple(grasps.value.shape)
+    if len(values) != 1 or poses != (*values, 4, 4):
+        raise ValueError(f"propose returned poses {poses} and values {values}, not [N, 4, 4] and [N]")
 
 
 def _recorded(grasps: Grasps, where: str) -> tuple[dict[str, list[float]] | None, float | None]:
@@ -197,7 +222,7 @@ def _recorded(grasps: Grasps, where: str) -> tuple[dict[str, list[float]] | None
         return None, None
     T, value = grasps.T_world_grasp[0].detach().cpu().double(), grasps.value[0].detach().cpu().double()
     if not (T.isfinite().all() and value.isfinite() and is_rigid(T)):
-        raise UserError(f"{where}: it proposed what is no pose, or a value that is no number")
+        raise UserError(f"{where}: it proposed what is no pose, or a value that is no number (the plug-in is at fault)")
     quaternion = roma.rotmat_to_unitquat(T[:3, :3])
     return {"position": T[:3, 3].tolist(), "quaternion": quaternion.tolist()}, float(value)
 

@@ -1,4 +1,5 @@
 import os
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +18,8 @@ from nerfgrasp.search import strategies
 from nerfgrasp.search.strategies import GUIDED, STRATEGIES
 
 pytest.importorskip("pybullet")
+
+from nerfgrasp_baselines.random import Random
 
 from nerfgrasp.commands.evaluate import evaluate
 from nerfgrasp.evaluation import parts
@@ -170,13 +173,26 @@ def test_other_results_are_refused(unbroken: Path, change: dict[str, Any], messa
 def test_the_parts_of_another_command_are_refused(tmp_path: Path) -> None:
     out = tmp_path / "results.jsonl"
     settings = Trials(find_task("simple"), 12, "random", None, None, 32).settings()
-    Parts(out, settings).claim()
+    Parts(out, settings).claim(5)
     with pytest.raises(
         UserError,
         match=r"left by another command: its set is 'simple-12', asked for 'simple-11'",
     ):
         evaluate(**SMALL, out=out, workers=1)
     assert [path.name for path in (tmp_path / "results.jsonl.parts").iterdir()] == ["settings.json"]
+
+
+def test_finished_scenes_are_not_thrown_away_by_a_shorter_run(tmp_path: Path) -> None:
+    out = tmp_path / "results.jsonl"
+    left = Parts(out, Trials(find_task("simple"), 11, "random", None, None, 32).settings())
+    left.claim(5)
+    for scene in (0, 3):
+        left.write(scene, [])
+    before = sorted(path.name for path in left.folder.iterdir())
+    with pytest.raises(UserError, match="it holds scene 3, asked for 3 scenes; ask for as many"):
+        evaluate(**{**SMALL, "scenes": 3}, out=out, workers=1)
+    assert sorted(path.name for path in left.folder.iterdir()) == before
+    left.claim(4)
 
 
 @pytest.mark.parametrize(
@@ -205,6 +221,28 @@ def test_bad_values_are_one_line_and_nothing_is_written(
     assert err.count("\n") == 1
     assert message in err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_method_s_fault_is_one_line_and_finished_scenes_are_kept(
+    unbroken: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refusal: Callable[[list[str]], str]
+) -> None:
+    propose, calls = Random.propose, []
+
+    def fails_once(*args: Any, **kwargs: Any) -> Any:
+        calls.append(None)
+        if len(calls) == 3:
+            raise IndexError("list index out of range")
+        return propose(*args, **kwargs)
+
+    monkeypatch.setattr(Random, "propose", fails_once)
+    out = tmp_path / "results.jsonl"
+    line = refusal(["evaluate", *(f"--{name}={value}" for name, value in {**SMALL, "out": out, "workers": 1}.items())])
+    named = r"method 'random' \(nerfgrasp_baselines.random:Random of nerfgrasp [0-9.]+\), scene 2, attempt 0: "
+    assert re.fullmatch(named + r"IndexError: list index out of range \(the plug-in is at fault\)", line)
+    kept = sorted(path.name for path in (tmp_path / "results.jsonl.parts").glob("0*.json"))
+    assert kept == ["000000.json", "000001.json"]
+    evaluate(**SMALL, out=out, workers=1)
+    assert out.read_bytes() == unbroken.read_bytes()
 
 
 def test_a_folder_without_a_method_is_told(tmp_path: Path) -> None:

@@ -181,8 +181,9 @@ def test_execute_reports_the_outcome(
         (["--workspace=[7,7,0,7.5,7.5,0.2]"], "camera 0 sees nothing of the workspace from (7, 7, 0) to"),
         (["--count=-1"], "count is -1"),
         (["--seed=-1"], "seed is -1"),
-        (["--images=0"], "images is 0: it must be at least 1"),
+        (["--images=0"], "images is 0: it must be from 1 to 1000"),
         (["--images=7"], "images is 7: the scene has 4"),
+        (["--seed=18446744073709551616"], "seed is 18446744073709551616: it must be from 0 to 4294967295"),
     ],
 )
 def test_mistakes_are_told_before_the_search(

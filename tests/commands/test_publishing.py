@@ -1,4 +1,7 @@
 import errno
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -35,6 +38,17 @@ def test_a_failure_leaves_everything_as_it_was(tmp_path: Path) -> None:
         with pytest.raises(InterruptedError), publishing(out) as folder:
             write_half(folder / "one")
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"one": "old"}
+
+
+def test_what_a_killed_process_left_is_removed_and_nothing_else(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as ended:
+        pass
+    for name in (f".{ended.pid}.tmp", f".{os.getppid()}.tmp", ".mine.tmp"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "half").write_text("half")
+    with publishing(tmp_path) as folder:
+        (folder / "one").write_text("1")
+    assert {path.name for path in tmp_path.iterdir()} == {"one", f".{os.getppid()}.tmp", ".mine.tmp"}
 
 
 def test_a_path_through_a_file_is_refused_before_the_work(tmp_path: Path) -> None:

@@ -1,3 +1,4 @@
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,11 @@ pytest.importorskip("pybullet")
 
 from nerfgrasp import cli
 from nerfgrasp.commands import recipe
+from nerfgrasp.commands.configs import find_config
 from nerfgrasp.commands.recipe import Experiment, Learned, table_stages
 from nerfgrasp.commands.stages import Stage
 from nerfgrasp.errors import UserError
+from nerfgrasp.models.folder import find_model
 
 # Lightning calls what jsonargparse is about to retire.
 pytestmark = pytest.mark.filterwarnings("ignore::jsonargparse._deprecated.JsonargparseDeprecationWarning")
@@ -68,8 +71,8 @@ def test_trainings_are_the_configs_with_what_sets_them_apart(
     probe, model = config_of(found["no3-rate-3"], capsys), "model"
     arguments = probe[model]["init_args"]
     assert (arguments["learning_rate"], arguments["encoder_learning_rate"]) == pytest.approx((3e-3, 1.5e-3))
-    assert arguments["schedule"] == {"warmup_steps": 20, "decay": "cosine", "decay_steps": 600, "factor": 0.1}
-    assert probe["trainer"]["max_steps"] == probe["trainer"]["val_check_interval"] == 600
+    assert arguments["schedule"] == {"warmup_steps": 20, "decay": "cosine", "decay_steps": 300, "factor": 0.1}
+    assert probe["trainer"]["max_steps"] == probe["trainer"]["val_check_interval"] == 300
     assert probe["trainer"]["default_root_dir"] == "runs/no3_grasp-laptop-rate-3" == found["no3-rate-3"].run
     assert found["no3-head"].rivals[2] is found["no3-rate-3"]
     seed = config_of(found["mv3-head-seed1"], capsys)
@@ -79,7 +82,7 @@ def test_trainings_are_the_configs_with_what_sets_them_apart(
 
 
 def test_shipped_models_need_no_training(stages: Callable[..., dict[str, Stage]]) -> None:
-    found = stages("mv3", "mine=mv3-laptop", evaluate_only=True)
+    found = stages("mv3", "mine=mv1-laptop", evaluate_only=True)
     assert list(found) == ["simple-mv3", "clutter-mv3", "simple-mine", "clutter-mine", "report"]
     assert found["simple-mv3"].command[3:5] == ("--method", "mv3-laptop")
 
@@ -95,9 +98,50 @@ def test_what_does_not_exist_is_told_before_anything_starts(
         stages("mine=mv3-latpop")
     with pytest.raises(UserError, match="a name is of letters"):
         stages("a/b=mv3-laptop")
-    with pytest.raises(UserError, match="stage simple-random is there twice"):
-        stages("random", "random")
+    with pytest.raises(UserError, match="stage simple-mv3-seed1 is there twice"):
+        stages("mv3", "MV3-seed1=oracle", seeds=2)
     monkeypatch.setitem(recipe.LEARNED, "tt", Learned("TT", "mv3_grap"))
     with pytest.raises(UserError, match="unknown config 'mv3_grap.yaml': did you mean 'mv3_grasp.yaml'"):
         stages("tt")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("methods", "evaluate_only", "message"),
+    [
+        (["random", "random"], False, "random and random are both called random"),
+        (["Random=oracle", "random"], False, "Random=oracle and random are both called Random: give one another name"),
+        (["mv3", "MV3=mv1-laptop"], False, "mv3 and MV3=mv1-laptop are both called MV3"),
+        (["mv3", "mine=mv3-laptop"], True, "mv3 and mine=mv3-laptop are the same model: give one of them"),
+        (["random", "mine=random"], False, "random and mine=random are the same model"),
+    ],
+)
+def test_what_the_report_would_refuse_is_refused_before_anything_starts(
+    methods: list[str], evaluate_only: bool, message: str, stages: Callable[..., dict[str, Stage]]
+) -> None:
+    with pytest.raises(UserError, match=message):
+        stages(*methods, evaluate_only=evaluate_only)
+
+
+def test_a_copy_of_a_model_is_the_same_model(stages: Callable[..., dict[str, Stage]], tmp_path: Path) -> None:
+    shutil.copytree(find_model("mv1-laptop"), tmp_path / "copy")
+    with pytest.raises(UserError, match="are the same model"):
+        stages("a=mv1-laptop", f"b={tmp_path / 'copy'}")
+    assert "simple-b" in stages("mv3", f"b={tmp_path / 'copy'}"), "what will be trained is not known yet"
+
+
+def test_a_training_knows_what_its_configs_say(stages: Callable[..., dict[str, Stage]], tmp_path: Path) -> None:
+    before = stages("mv3", "random")
+    assert before["simple-random"].config is None
+    here = tmp_path / "laptop" / "mv3.yaml"
+    here.parent.mkdir()
+    text = find_config("laptop/mv3.yaml").read_text()
+    here.write_text(f"# A remark changes nothing.\n{text}")
+    assert stages("mv3", "random") == before
+    changed = yaml.safe_load(text)
+    changed["trainer"]["max_steps"] += 1
+    here.write_text(yaml.safe_dump(changed))
+    after = stages("mv3", "random")
+    assert after["mv3-backbone"].command == before["mv3-backbone"].command
+    assert after["mv3-backbone"].config != before["mv3-backbone"].config
+    assert after["mv3-head"].config == before["mv3-head"].config

@@ -136,6 +136,7 @@ def test_without_a_demonstration_the_seed_chooses(tmp_path: Path, models: dict[s
         (["--reach=-0.1"], "reach is -0.1"),
         (["--reach=.inf"], "reach is inf"),
         (["--seed=-1"], "seed is -1"),
+        (["--seed=18446744073709551616"], "seed is 18446744073709551616: it must be from 0 to 4294967295"),
         (["--slices", "tx-ty", "tx-qy"], "unknown slice 'tx-qy'"),
         (["--slices", "tx-ty", "tx-ty"], "--slices names tx-ty twice"),
         (["--slices=[]"], "--slices names nothing"),
@@ -179,6 +180,19 @@ def test_a_scene_without_the_truth_is_refused(
     captured = capsys.readouterr()
     assert message in captured.err
     assert captured.err.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["desk"]
+
+
+def test_a_camera_that_sees_nothing_of_the_workspace_is_told(
+    tmp_path: Path, models: dict[str, Path], scene: Scene, capsys: pytest.CaptureFixture[str]
+) -> None:
+    camera = scene.observations.camera
+    away = camera.T_world_camera.clone()
+    away[1, :3, 3] += 100.0
+    seen = replace(scene.observations, camera=replace(camera, T_world_camera=away))
+    write_scene(tmp_path / "desk", replace(scene, observations=seen))
+    assert main(arguments(tmp_path / "desk", f"--model={models['three']}")) == 2
+    assert "camera 1 sees nothing of the workspace" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["desk"]
 
 

@@ -4,6 +4,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -87,12 +88,13 @@ def test_a_killed_run_goes_on_when_what_it_left_has_ended(
         process.wait()
     left = work(stages)
     assert [left.done(stage) for stage in stages] == [True, False, False]
-    assert left.state(stages[1]) == "begun, 0:00:00"
     # What the killed one had started still runs: two must not work on the same files.
+    assert left.state(stages[1]) == "running, 0:00:00"
     threading.Timer(0.3, (tmp_path / "work" / "go").touch).start()
     left.run()
     assert "waiting for the process that works in" in capsys.readouterr().out
     assert ran(left) == ["do a", "wait go", "wait go", "do c"]
+    assert left.state(stages[1]).startswith("done in ")
 
 
 def test_a_failure_stops_with_its_command_and_its_log(work: Callable[..., Work]) -> None:
@@ -194,3 +196,20 @@ def test_another_command_under_the_same_name_is_refused(work: Callable[..., Work
     work([Stage("a", ("do", "a"))]).run()
     with pytest.raises(UserError, match=r"was another command \(nerfgrasp do a\), now nerfgrasp do b: give a new"):
         work([Stage("a", ("do", "b"))])
+
+
+def test_another_config_under_the_same_name_is_refused(work: Callable[..., Work]) -> None:
+    stage = Stage("a", ("fit", "--config", "a.yaml"), config="0123")
+    failing = Stage("b", ("fail", "b"), config="4567")
+    with pytest.raises(UserError, match="stage b ended"):
+        work([stage, failing]).run()
+    for changed in (replace(stage, config="89ab"), replace(failing, config="cdef")):
+        with pytest.raises(UserError, match=f"stage {changed.name} .* said something else .*now {changed.config}"):
+            work([changed])
+    work([stage, failing])
+    path = work([]).folder / "stages" / "a.json"
+    record = json.loads(path.read_text())
+    del record["config"]
+    path.write_text(json.dumps(record))
+    left = work([replace(stage, config="89ab")])
+    assert left.done(left.stages[0]), "a record that does not know it stays valid"

@@ -1,6 +1,7 @@
 """The table with a method of a stranger's distribution, by the command as it is typed."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,19 +12,30 @@ from nerfgrasp import cli
 from nerfgrasp.commands import recipe
 
 METHOD = "from nerfgrasp_baselines.random import Random\nclass Mine(Random): ...\n"
+PROJECT = """
+[build-system]
+requires = ["hatchling"]
+build-backend = "hatchling.build"
+[project]
+name = "their-dist"
+version = "0.3"
+[project.entry-points."nerfgrasp.baselines"]
+their_method = "their_module:Mine"
+[tool.hatch.build.targets.wheel]
+only-include = ["their_module.py"]
+"""
 
 
 @pytest.fixture
-def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A distribution, as pip lays it out, that declares the method `their_method`."""
-    info = tmp_path / "site" / "their_dist-0.3.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: their-dist\nVersion: 0.3\n")
-    (info / "entry_points.txt").write_text("[nerfgrasp.baselines]\ntheir_method = their_module:Mine\n")
-    (info.parent / "their_module.py").write_text(METHOD)
-    monkeypatch.syspath_prepend(str(info.parent))
-    paths = [str(info.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(paths))
+def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, install: Callable[[Path, Path], None]) -> None:
+    """An installed distribution that declares the method `their_method`."""
+    source, site = tmp_path / "source", str(tmp_path / "site")
+    source.mkdir()
+    (source / "pyproject.toml").write_text(PROJECT)
+    (source / "their_module.py").write_text(METHOD)
+    install(source, Path(site))
+    monkeypatch.syspath_prepend(site)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([site, *filter(None, [os.environ.get("PYTHONPATH")])]))
 
 
 def test_a_stranger_s_method_has_a_row(
@@ -66,7 +78,9 @@ def test_a_method_whose_model_is_not_shipped_is_left_out(
     ("args", "line"),
     [
         (["--methods", "randm"], "unknown method 'randm': did you mean 'random'"),
-        (["--methods", "random", "--scenes", "0"], "scenes is 0: it must be at least 1"),
+        (["--methods", "random", "--scenes", "0"], "scenes is 0: it must be from 1 to 999999"),
+        (["--methods", "random", "--seeds", "0"], "seeds is 0: it must be from 1 to"),
+        (["--methods", "random", "random"], "methods: random and random are both called random"),
         (["--methods", "random", "--sceens", "3"], "--sceens 3 (did you mean --scenes?)"),
         (["--methods", "random", "--scale", "desk"], "desk"),
     ],

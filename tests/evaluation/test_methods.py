@@ -30,6 +30,18 @@ class Untrained:
         return cls()
 
 
+class Faulty:
+    @classmethod
+    def from_pretrained(cls) -> "Faulty":
+        return cls()
+
+
+class Raising:
+    @classmethod
+    def from_pretrained(cls, folder: str | None = None) -> "Raising":
+        raise KeyError("theirs")
+
+
 class Scheduled(Trained):
     schedule = "own"
 
@@ -42,6 +54,7 @@ class Scheduled(Trained):
 @pytest.fixture(autouse=True)
 def _registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     methods: dict[str, Any] = {"trained": Trained, "untrained": Untrained, "scheduled": Scheduled}
+    methods |= {"faulty": Faulty, "raising": Raising, "psi": Raising}
     monkeypatch.setattr(registry, "load", lambda group, name: methods[name])
     load_method.cache_clear()
     yield
@@ -71,6 +84,19 @@ def test_a_method_that_needs_a_model_says_so() -> None:
     with pytest.raises(UserError, match="method 'trained' needs a model: give the model's folder"):
         load_method("trained", None)
     assert load_method("trained", "there").folder == "there"  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("folder", [None, "there"])
+def test_a_faulty_loader_is_named(folder: str | None) -> None:
+    with pytest.raises(
+        UserError, match=r"method 'faulty', from_pretrained: TypeError: it takes no folder \(the plug-in"
+    ):
+        load_method("faulty", folder)
+    with pytest.raises(UserError, match="'raising', from_pretrained: KeyError: 'theirs' .*at fault") as told:
+        load_method("raising", folder)
+    assert isinstance(told.value.__cause__, KeyError)
+    with pytest.raises(UserError, match=r"'psi' \(nerfgrasp.search.psi:Psi of nerfgrasp [0-9.]+\), from_pretrained"):
+        load_method("psi", folder)
 
 
 def test_a_schedule_is_for_methods_that_have_some() -> None:

@@ -54,9 +54,28 @@ def test_clutters_differences_are_over_the_scenes_of_both(attempts: Attempts, wr
     table = tables_of([write("a.jsonl", first), write("b.jsonl", second)])["clutter: paired differences"]
     pair = cells(table, "oracle - random")
     assert pair["scenes"] == "2"
-    assert pair["success [95 % interval]"] == "+0.50 [+0.50, +0.50]"
-    assert pair["cleared [95 % interval]"] == "+0.75 [+0.75, +0.75]"
+    # The same in both scenes: Newcombe's of 2 of 2 and 1 of 2, 0.5 - hypot(1 - 0.342, 0.905 - 0.5) to 0.5 + 0.405.
+    assert pair["success [95 % interval]"] == "+0.50 [-0.27, +0.91]"
+    assert pair["cleared [95 % interval]"].startswith("+0.75 [-0.")
+    # Two scenes are exchanged in four ways, of which two are as far apart.
+    assert (pair["success: p"], pair["cleared: p"], pair["dropped: p"]) == ("0.500", "0.500", "1.000")
     assert "McNemar's p" not in pair
+    assert table.notes[1] == "p: paired permutation test over scenes, two-sided."
+
+
+def test_novel_s_p_is_over_objects(attempts: Attempts, write: Write) -> None:
+    names = [name for name in ("banana", "bowl", "mug") for _ in range(10)]
+    paths = []
+    for method, won in {"oracle": (8, 7, 3), "random": (5, 5, 4)}.items():
+        rows = attempts(*(["success" if k < n else "slipped"] for n in won for k in range(10)), method=method)
+        rows = [
+            replace(row, objects=(name,), task="novel", set="novel-ycb-7")
+            for row, name in zip(rows, names, strict=True)
+        ]
+        paths.append(write(f"{method}.jsonl", rows))
+    pair = cells(tables_of(paths)["novel: paired differences"], "oracle - random")
+    # Three and two more, one less: of the eight signs of 3, 2 and 1, four give a sum of 4 or more, or -4 or less.
+    assert pair["success: p"] == "0.500"
 
 
 def test_novel_is_resampled_by_object(attempts: Attempts, write: Write) -> None:
@@ -81,6 +100,13 @@ def test_a_rate_without_any_variation_is_not_certain(attempts: Attempts, write: 
     assert cells(tables["Success rates [95 % interval]"], "random")["clutter success"] == "0.00 [0.00, 0.32]"
     pair = cells(tables["clutter: paired differences"], "random - none")
     assert pair["success [95 % interval]"] == "+0.00 [-0.32, +0.32]"
+
+
+def test_methods_that_agree_everywhere_are_not_known_to_be_equal(attempts: Attempts, write: Write) -> None:
+    outcomes = [["success"]] * 17 + [["slipped"]] * 3
+    tables = tables_of([write(f"{name}.jsonl", attempts(*outcomes, method=name)) for name in ("oracle", "random")])
+    pair = cells(tables["simple: paired differences"], "oracle - random")
+    assert pair["success [95 % interval]"] == "+0.00 [-0.23, +0.23]"
 
 
 def test_one_cluster_has_no_interval(attempts: Attempts, write: Write) -> None:

@@ -5,8 +5,11 @@ from scipy.stats import norm
 from nerfgrasp.evaluation.statistics import (
     bootstrap_difference,
     bootstrap_rate,
+    difference_interval,
     mcnemar,
     newcombe_interval,
+    permutation_test,
+    rate_interval,
     wilson_interval,
 )
 
@@ -130,3 +133,59 @@ def test_bootstrap_refuses_too_little(counts: tuple[list[int], list[int]]) -> No
 def test_differences_need_the_same_clusters() -> None:
     with pytest.raises(ValueError, match="shape"):
         bootstrap_difference(([1, 0], [1, 1]), ([1, 0, 1], [1, 1, 1]), np.random.default_rng(0))
+
+
+def test_what_does_not_vary_is_not_certain() -> None:
+    rng, twenty = np.random.default_rng(0), [1] * 20
+    won = [1] * 17 + [0] * 3
+    assert bootstrap_difference((won, twenty), (won, twenty), rng) == (0.0, 0.0), "what is not to be believed"
+    interval = difference_interval((won, twenty), (won, twenty), rng)
+    assert interval == pytest.approx(newcombe_interval((17, 20), (17, 20)))
+    # Scenes that all differ, by one of ten each: rates of 4.5 and 3.5 of 10 scenes.
+    tens, easy = [10] * 10, np.arange(10)
+    assert difference_interval((easy, tens), (easy - 1 + (easy == 0), tens), rng) is not None
+    assert difference_interval((easy + 1, tens), (easy, tens), rng) == pytest.approx(
+        newcombe_interval((5.5, 10), (4.5, 10))
+    )
+    assert rate_interval([5] * 8, [10] * 8, rng) == pytest.approx(wilson_interval(4, 8))
+    assert rate_interval([1, 2], [2, 3], rng) == bootstrap_rate([1, 2], [2, 3], np.random.default_rng(0))
+    assert rate_interval([1], [2], rng) is None
+    assert difference_interval(([1], [2]), ([0], [2]), rng) is None
+    assert difference_interval(([2], [2]), ([0], [2]), rng) is not None
+
+
+def test_permutation_test_by_hand() -> None:
+    rng, tens = np.random.default_rng(0), [10, 10, 10]
+    # Differences 3, 2 and 1: of their eight signs, +++ and --- alone reach 6.
+    assert permutation_test(([8, 7, 5], tens), ([5, 5, 4], tens), rng) == 2 / 8
+    # 3, 2 and -1: 4 is reached by +++, ++-, and their opposites.
+    assert permutation_test(([8, 7, 3], tens), ([5, 5, 4], tens), rng) == 4 / 8
+    # Where the two agree, a cluster says nothing of which is better.
+    assert permutation_test(([8, 7, 5, 6], [10] * 4), ([5, 5, 4, 6], [10] * 4), rng) == 2 / 8
+    assert permutation_test((tens, tens), (tens, tens), rng) == 1.0
+    # Unequal trials: (2 + 1) / (2 + 4) less (0 + 1) / (4 + 2) is 1/3. Exchanged in the first: 1/8 - 3/4, as far; in the
+    # second: 3/4 - 1/8, as far; in both: -1/3, as far.
+    assert permutation_test(([2, 1], [2, 4]), ([0, 1], [4, 2]), rng) == 1.0
+
+
+def test_permutation_test_of_single_attempts_is_mcnemars() -> None:
+    one, other = [1] * 9 + [0] * 4, [1] * 1 + [0] * 11 + [1]
+    p = permutation_test((one, [1] * 13), (other, [1] * 13), np.random.default_rng(0))
+    assert p == pytest.approx(mcnemar(8, 1))
+
+
+def test_a_drawn_permutation_test_agrees_with_the_exact_one() -> None:
+    rng = np.random.default_rng(2)
+    one, other, tens = rng.integers(2, 10, 12), rng.integers(0, 9, 12), np.full(12, 10)
+    exact = permutation_test((one, tens), (other, tens), np.random.default_rng(0))
+    drawn = permutation_test((one, tens), (other, tens), np.random.default_rng(0), resamples=1000)
+    assert drawn != exact
+    assert drawn == pytest.approx(exact, abs=4 * np.sqrt(exact / 1000))
+    best = permutation_test((np.full(40, 10), np.full(40, 10)), (np.zeros(40), np.full(40, 10)), rng, resamples=99)
+    assert best == 1 / 100, "never zero"
+
+
+@pytest.mark.parametrize("second", [([1], [1]), ([1, 1], [1, 0])])
+def test_permutation_test_refuses_what_does_not_pair(second: tuple[list[int], list[int]]) -> None:
+    with pytest.raises(ValueError, match="cluster"):
+        permutation_test(([1, 1], [1, 1]), second, np.random.default_rng(0))

@@ -34,7 +34,7 @@ class Scripted:
     ) -> Grasps:
         self.seen.append(observations)
         T = self.script(observations, generator)
-        poses = torch.zeros(0, 4, 4) if T is None else T.view(-1, 4, 4)
+        poses = torch.zeros(0, 4, 4) if T is None else T.view(-1, 4, 4)[:count]
         return Grasps(poses, torch.full((len(poses),), 0.5))
 
 
@@ -107,6 +107,32 @@ def test_what_is_no_pose_is_told(broken: torch.Tensor, script: Callable[..., Scr
         run_scene(SIMPLE, 0)
 
 
+@pytest.mark.parametrize(
+    ("returned", "message"),
+    [
+        (None, "TypeError: propose returned NoneType, not Grasps"),
+        (Grasps(torch.zeros(2, 3, 3), torch.zeros(2)), r"\(2, 3, 3\).* not \[N, 4, 4\]"),
+        (Grasps(torch.zeros(2, 4, 4), torch.zeros(3)), r"values \(3,\)"),
+        (Grasps(torch.zeros(4, 4), torch.tensor(1.0)), r"poses \(4, 4\) and values \(\)"),
+        (Grasps(torch.zeros(1, 4, 4), [1.0]), "AttributeError: 'list'"),  # type: ignore[arg-type]
+        (ZeroDivisionError("of theirs"), "ZeroDivisionError: of theirs"),
+    ],
+)
+def test_a_faulty_method_is_named(
+    returned: Any, message: str, script: Callable[..., Scripted], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def propose(*args: Any, **kwargs: Any) -> Any:
+        if isinstance(returned, Exception):
+            raise returned
+        return returned
+
+    monkeypatch.setattr(script(high), "propose", propose)
+    where = "^method 'scripted', scene 0, attempt 0: "
+    with pytest.raises(UserError, match=f"{where}.*{message}.*the plug-in is at fault") as told:
+        run_scene(SIMPLE, 0)
+    assert told.value.__cause__ is not None, "what --debug shows"
+
+
 def test_attempts_draw_apart_and_the_same_again() -> None:
     def draw(*key: int) -> float:
         return torch.rand(1, generator=proposal_generator(*key)).item()
@@ -148,6 +174,28 @@ def test_what_failed_is_not_repeated_until_a_success(script: Callable[..., Scrip
     assert chosen == ["again", "other"]
     assert [row.outcome for row in rows[:3]] == ["nothing_between_fingers"] * 2 + ["success"]
     assert len(rows) == 3 or rows[3].grasp["position"] == pytest.approx([0.0, 0.0, 0.4], abs=0.01)
+
+
+def test_what_failed_may_be_like_several_that_differ(script: Callable[..., Scripted]) -> None:
+    def propose(observations: Observations, generator: torch.Generator) -> torch.Tensor:
+        first = len(method.seen) == 1
+        return torch.stack([beside(x) for x in ((0.0,) if first else (-0.015, 0.015, 0.1))])
+
+    def beside(x: float) -> torch.Tensor:
+        T = high(None, None)  # type: ignore[arg-type]
+        T[0, 3] = x
+        return T
+
+    method = script(propose)
+    rows = [row for row, _ in run_scene(replace(REPEATED, task=replace(REPEATED.task, attempts=2)), 0)]
+    assert [row.grasp["position"][0] for row in rows] == pytest.approx([0.0, 0.1])
+
+
+def test_a_method_without_end_is_not_asked_forever(script: Callable[..., Scripted]) -> None:
+    method = script(lambda observations, generator: high(observations, generator).expand(10_000, 4, 4).contiguous())
+    rows = [row for row, _ in run_scene(replace(REPEATED, task=replace(REPEATED.task, attempts=2)), 0)]
+    assert rows[1].grasp == rows[0].grasp
+    assert len(method.seen) <= 12
 
 
 def test_where_all_has_failed_the_best_is_repeated(script: Callable[..., Scripted]) -> None:

@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -12,13 +13,11 @@ TEMPLATE = Path(__file__).parents[2] / "plugins" / "template"
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def installed(tmp_path_factory: pytest.TempPathFactory, install: Callable[[Path, Path], None]) -> dict[str, str]:
     """Installs the template into a folder, and returns an environment that sees it."""
     folder = tmp_path_factory.mktemp("template")
     source = shutil.copytree(TEMPLATE, folder / "source", ignore=shutil.ignore_patterns("__pycache__"))
-    options = ["--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--disable-pip-version-check"]
-    target = ["--target", str(folder / "site")]
-    subprocess.run([sys.executable, "-m", "pip", "install", *options, *target, str(source)], check=True)
+    install(source, folder / "site")
     return os.environ | {"PYTHONPATH": str(folder / "site")}
 
 
