@@ -295,6 +295,6 @@ def test_a_schedule_is_recorded_and_kept_apart(model: Path, tmp_path: Path, monk
         evaluate(**arguments, schedule="paper", out=out)
     model_hash = weights_hash(load_model(model))[:16]
     begun = Trials(find_task("simple"), 11, "psi", None, model_hash, 32, None, "paper", search)
-    Parts(tmp_path / "begun.jsonl", begun.settings()).claim()
+    Parts(tmp_path / "begun.jsonl", begun.settings()).claim(scenes=1)
     with pytest.raises(UserError, match=f"left by another command: its search is '{search}'"):
         evaluate(**arguments, schedule="paper", out=tmp_path / "begun.jsonl", workers=1)
