@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import embedding_bag, grid_sample, linear, relu, softplus
 
-from nerfgrasp.geometry import Camera, project, transform
+from nerfgrasp.geometry import Camera, exact, project, transform
 from nerfgrasp.geometry.frames import invert
 
 
@@ -119,16 +119,12 @@ class Field(nn.Module):
         batch, rays, samples, _ = points.shape
         views = maps.images.shape[1]
         flat = points.reshape(batch, 1, rays * samples, 3)
-        T_camera_world = invert(maps.camera.T_world_camera)
-        in_camera = transform(T_camera_world, flat)
-        pixels, _ = project(maps.camera, flat)
-        size = torch.tensor([maps.camera.width, maps.camera.height], device=points.device)
-        grid = (2.0 * pixels / size - 1.0).clamp(-2.0, 2.0).flatten(0, 1)
+        in_camera, turned, grid = _as_seen(flat, directions, maps.camera)
+        grid = grid.flatten(0, 1)
         colours = sample_maps(maps.images.flatten(0, 1).movedim(1, -1), grid)
         features = sample_maps(maps.features.flatten(0, 1), grid)
         encoded = encode(in_camera.flatten(0, 1), self.config.position_frequencies)
         point_part = self.point_layer(torch.cat([encoded, colours], dim=-1)) + features
-        turned = directions[:, None] @ T_camera_world[..., :3, :3].transpose(-1, -2)
         direction_part = self.direction_layer(encode(turned, self.config.direction_frequencies))
         x = point_part.view(batch, views, rays, samples, -1) + direction_part[..., None, :]
         if self.height_layer is not None:
@@ -172,6 +168,27 @@ class ResidualBlock(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Maps `[..., width]` to `[..., width]`."""
         return x + self.second(relu(self.first(relu(x))))
+
+
+@exact
+def _as_seen(points: Tensor, directions: Tensor, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
+    """Returns points and directions in cameras' frames, and where the points lie on the images.
+
+    Args:
+        points: `[B, 1, P, 3]` in metres, world frame.
+        directions: `[B, R, 3]`.
+        camera: batch shape `[B, V]`.
+
+    Returns:
+        Points `[B, V, P, 3]`, directions `[B, V, R, 3]`, and `[B, V, P, 2]`, x and y in [-1, 1] from border to border;
+        what lies far beyond is brought nearer.
+    """
+    T_camera_world = invert(camera.T_world_camera)
+    in_camera = transform(T_camera_world, points)
+    turned = directions[:, None] @ T_camera_world[..., :3, :3].transpose(-1, -2)
+    pixels, _ = project(camera, points)
+    size = torch.tensor([camera.width, camera.height], device=points.device)
+    return in_camera, turned, (2.0 * pixels / size - 1.0).clamp(-2.0, 2.0)
 
 
 def encode(x: Tensor, frequencies: int) -> Tensor:

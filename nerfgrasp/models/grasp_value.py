@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.nn.functional import elu
 
 from nerfgrasp.errors import UserError
-from nerfgrasp.geometry import Camera
+from nerfgrasp.geometry import Camera, exact
 from nerfgrasp.models.mvnerf import MVNeRF, MVNeRFConfig, SceneFeatures
 from nerfgrasp.models.stored import StoredModule
 from nerfgrasp.scenes.scene import Observations, Workspace
@@ -134,6 +134,7 @@ class GraspValue(StoredModule):
         flat = probes[:, :, self.orders].flatten(-2)
         return self.readout(elu(self.blocks(flat)))[..., 0].mean(dim=-1)
 
+    @exact
     def _probes(self, T_world_grasp: Tensor) -> tuple[Tensor, Tensor]:
         """Points `[B, P, 6, 7, 3]` and directions `[B, P, 6, 3]` around grasps `[B, P, 4, 4]`."""
         T_world_ray = T_world_grasp[:, :, None] @ self.rays

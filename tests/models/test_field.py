@@ -158,6 +158,20 @@ def test_samples_at_no_number_are_none() -> None:
     assert found[0, 1].isfinite().all()
 
 
+def test_mixed_precision_leaves_what_the_layers_see_of_points_alone(scene, queries) -> None:
+    field = Field(replace(SMALL, height_frequencies=4), 8)
+    given: list[Tensor] = []
+    for layer in (field.point_layer, field.direction_layer, field.height_layer):
+        layer.register_forward_pre_hook(lambda layer, inputs: given.append(inputs[0]))
+    seen = maps(field, scene)
+    with torch.autocast("cpu", torch.bfloat16):
+        raw = field(seen, *queries)
+    field(seen, *queries)
+    assert raw[0].dtype == torch.bfloat16, "what follows is in half precision"
+    for mixed, full in zip(given[:3], given[3:], strict=True):
+        assert torch.equal(mixed, full)
+
+
 def test_blended_colours_are_those_of_the_views(scene, queries) -> None:
     field = Field(replace(SMALL, blend=4), 8)
     field.readout.weight.data.zero_()
