@@ -21,7 +21,10 @@ def exact(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
     @wraps(function)
     def exactly(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
         tensors = [value for value in (*args, *kwargs.values()) if isinstance(value, Tensor)]
-        with torch.autocast(tensors[0].device.type, enabled=False):
+        device = tensors[0].device.type
+        if not (torch.amp.is_autocast_available(device) and torch.is_autocast_enabled(device)):
+            return function(*args, **kwargs)
+        with torch.autocast(device, enabled=False):
             return function(*args, **kwargs)
 
     return exactly
