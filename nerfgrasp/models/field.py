@@ -204,7 +204,8 @@ def encode(x: Tensor, frequencies: int) -> Tensor:
 def sample_maps(maps: Tensor, grid: Tensor) -> Tensor:
     """Bilinear samples of maps, which repeat their borders; as `grid_sample(align_corners=False)` gives them.
 
-    On the CPU a sum of rows of the map, where channels lie together, is several times faster, above all backward.
+    On the CPU a sum of rows of the map, where channels lie together, is several times faster, above all backward. On
+    MPS `grid_sample` repeats no borders in all versions of PyTorch.
 
     Args:
         maps: `[N, h, w, C]`.
@@ -213,19 +214,29 @@ def sample_maps(maps: Tensor, grid: Tensor) -> Tensor:
     Returns:
         `[N, P, C]`.
     """
-    if maps.device.type != "cpu":
+    if maps.device.type == "cuda":
         sampled = grid_sample(maps.movedim(-1, 1), grid[:, None], padding_mode="border", align_corners=False)
         return sampled[:, :, 0].transpose(1, 2)
     count, height, width, channels = maps.shape
-    size = torch.tensor([width, height], dtype=grid.dtype)
+    size = torch.tensor([width, height], dtype=grid.dtype, device=grid.device)
     position = torch.minimum((0.5 * (grid + 1.0) * size - 0.5).clamp(min=0.0), size - 1.0)
     low = torch.minimum(position.detach().floor(), size - 2.0)
     x, y = (position - low).unbind(dim=-1)
     # A position that is no number has some row's index and no number for its share: what comes out is none either.
     column, row = low.nan_to_num().long().unbind(dim=-1)
-    first = (torch.arange(count)[:, None] * height + row) * width + column
-    corners = first[..., None] + torch.tensor([0, 1, width, width + 1])
+    first = (torch.arange(count, device=grid.device)[:, None] * height + row) * width + column
+    corners = first[..., None] + torch.tensor([0, 1, width, width + 1], device=grid.device)
     shares = torch.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], dim=-1)
     rows = maps.reshape(-1, channels)
-    sampled = embedding_bag(corners.view(-1, 4), rows, per_sample_weights=shares.view(-1, 4).to(rows), mode="sum")
-    return sampled.view(*grid.shape[:2], channels)
+    weigh = _weighted_rows if maps.device.type == "cpu" else _gathered_rows
+    return weigh(rows, corners.view(-1, 4), shares.view(-1, 4).to(rows)).view(*grid.shape[:2], channels)
+
+
+def _weighted_rows(rows: Tensor, chosen: Tensor, weights: Tensor) -> Tensor:
+    """Returns the sums `[P, C]` of rows `[N, C]`, the chosen ones `[P, 4]` by their weights `[P, 4]`."""
+    return embedding_bag(chosen, rows, per_sample_weights=weights, mode="sum")
+
+
+def _gathered_rows(rows: Tensor, chosen: Tensor, weights: Tensor) -> Tensor:
+    """Does what `_weighted_rows` does, by operations that every device has."""
+    return (rows[chosen] * weights[..., None]).sum(dim=1)

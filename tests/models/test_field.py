@@ -10,6 +10,7 @@ from torch.nn.functional import grid_sample
 
 from nerfgrasp.geometry import Camera, invert, make_pose, project, transform
 from nerfgrasp.models import Field, FieldConfig
+from nerfgrasp.models import field as module
 from nerfgrasp.models.field import ViewMaps, encode, sample_maps
 
 SMALL = FieldConfig(width=16, view_blocks=2, fused_blocks=3, position_frequencies=5, direction_frequencies=3)
@@ -132,7 +133,10 @@ def test_variance_is_pooled_by_its_formula() -> None:
     torch.testing.assert_close(field._pool(views)[0, 0, 0], torch.tensor([2.0, 9.0]))
 
 
-def test_maps_are_sampled_as_grid_sample_does() -> None:
+@pytest.mark.parametrize("device", ["cpu", "another"])
+def test_maps_are_sampled_as_grid_sample_does(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if device == "another":
+        monkeypatch.setattr(module, "_weighted_rows", module._gathered_rows)
     torch.manual_seed(0)
     for height, width in ((2, 2), (7, 12)):
         maps, grid = torch.randn(3, height, width, 5), 3.0 * torch.rand(3, 200, 2) - 1.5
