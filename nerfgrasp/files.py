@@ -33,8 +33,14 @@ def replacing(path: Path) -> Iterator[Path]:
 
 def write_json(path: Path, data: Any, indent: int | None = None) -> None:
     """Writes JSON atomically and puts it on the disk; a number that is not finite is a ValueError."""
-    with replacing(path) as temporary, temporary.open("w") as file:
-        file.write(json.dumps(data, indent=indent, allow_nan=False) + "\n")
+    with replacing(path) as temporary:
+        write_through(temporary, (json.dumps(data, indent=indent, allow_nan=False) + "\n").encode())
+
+
+def write_through(path: Path, data: bytes) -> None:
+    """Writes a file and puts it on the disk."""
+    with path.open("wb") as file:
+        file.write(data)
         file.flush()
         os.fsync(file.fileno())
 

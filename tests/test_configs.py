@@ -11,6 +11,7 @@ from nerfgrasp.geometry import Camera
 from nerfgrasp.models import MVNeRF, MVNeRFConfig
 from nerfgrasp.models.folder import from_plain
 from nerfgrasp.scenes.scene import Workspace
+from nerfgrasp.training.features import FeatureCache
 
 # Parameters; 85.8 million of the encoder's are the transformer's.
 COUNTS = {"encoder": 94_332_032, "coarse": 247_300, "fine": 247_300}
@@ -102,3 +103,16 @@ def test_one_view_and_three_differ_in_a_few_lines() -> None:
         "runs/mv3",
     )
     assert one == three
+
+
+def test_features_are_kept_where_there_is_memory_for_them() -> None:
+    heads = [f"{scale}mv{views}_grasp.yaml" for scale in ("", "laptop/") for views in (1, 3)]
+    assert [read(name)["model"]["init_args"]["cache_features"] for name in heads] == [False, False, True, True]
+    laptop = from_plain(MVNeRFConfig, read("laptop/mv3.yaml")["model"]["init_args"]["network"])
+    with torch.device("meta"):
+        networks = [build("mv3.yaml"), MVNeRF(laptop)]
+    gigabytes = []
+    for network, name in zip(networks, heads[1::2], strict=True):
+        train = read(name)["data"]["init_args"]["train"]
+        gigabytes.append(train["scenes"] * train["views"] * FeatureCache(network).view_bytes(train["size"]) / 1e9)
+    assert gigabytes == pytest.approx([181.2, 3.22], abs=0.05)

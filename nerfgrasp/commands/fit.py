@@ -1,10 +1,13 @@
 """`nerfgrasp fit | validate | test`: LightningCLI, with shipped configs by name and data sets made on demand."""
 
+import os
+import sys
 import warnings
 import zipfile
 from pathlib import Path
 from typing import Any, Literal
 
+import torch
 from jsonargparse import ActionConfigFile
 from lightning import LightningModule, Trainer
 from lightning.pytorch.callbacks import TQDMProgressBar
@@ -119,6 +122,7 @@ class Command(LightningCLI):
             gigabytes = sum(_image_bytes(scenes) for scenes in sets) / 1e9
             where = f"the run's folder is {self.trainer.default_root_dir}"
             print(f"{self.trainer.max_steps} steps; data of {gigabytes:.2g} GB; {where}", flush=True)
+            _check_memory(self.model, self.datamodule, self.trainer)
         for scenes in sets:
             make_set(scenes)
 
@@ -186,6 +190,31 @@ def _check_validated(trainer: Trainer) -> None:
     interval, steps = trainer.val_check_interval, trainer.max_steps
     if isinstance(interval, int) and interval > steps > 0:
         raise UserError(f"keep is best, but trainer.val_check_interval ({interval}) is more than max_steps ({steps})")
+
+
+def _check_memory(module: LightningModule, data: Any, trainer: Trainer) -> None:
+    """Says how much memory image features will take, and refuses more than there is."""
+    if not isinstance(module, ScheduledTraining):
+        return
+    batches = trainer.max_steps * trainer.accumulate_grad_batches
+    device = trainer.strategy.root_device
+    processes = 1 if device.type == "cuda" else trainer.num_devices
+    needed = processes * module.kept_bytes(data, batches if batches > 0 else sys.maxsize) / 1e9
+    there = memory_bytes(device) / 1e9 if needed else 0.0
+    if needed > there:
+        switch = "give --model.init_args.cache_features false: they are then made anew at every step"
+        raise UserError(
+            f"the views' image features take {needed:.3g} GB of memory, {device} has {there:.3g} GB: {switch}"
+        )
+    if needed:
+        print(f"the views' image features are kept: {needed:.3g} GB of the memory of {device}", flush=True)
+
+
+def memory_bytes(device: torch.device) -> int:
+    """Returns how much memory a device has: a CUDA device its own, others the machine's."""
+    if device.type == "cuda":
+        return int(torch.cuda.get_device_properties(device).total_memory)
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 
 
 def _user_mistake(error: BaseException | None) -> UserError | None:

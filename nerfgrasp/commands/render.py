@@ -146,8 +146,7 @@ def _numbers(option: str, views: Views, scene: Scene) -> list[int]:
 
 def _seen(scene: Scene, numbers: list[int], count: int) -> Seen:
     """Returns the inputs, or as many as the model sees at once from the front if none are named."""
-    if len(scene.observations) < count:
-        raise UserError(f"the model needs {count} views, the scene has {len(scene.observations)}")
+    scene.observations.require(count)
     numbers = numbers or list(range(count))
     if len(numbers) != count:
         raise UserError(f"--inputs names {len(numbers)} of the views: the model sees {count} at once")

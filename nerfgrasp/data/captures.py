@@ -26,7 +26,7 @@ class CapturedScenes:
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
-        self.scenes = [open_scene(path) for path in _scene_folders(self.folder)]
+        self.scenes = [open_scene(path) for path in scene_folders(self.folder)]
         self._image = lru_cache(maxsize=KEPT_IMAGES)(self._decode)
 
     def __len__(self) -> int:
@@ -62,7 +62,12 @@ class CapturedScenes:
         return (image * 255).round().byte().movedim(0, -1).contiguous().numpy()
 
 
-def _scene_folders(folder: Path) -> list[Path]:
+def scene_folders(folder: Path) -> list[Path]:
+    """Returns a folder that is a scene, or else those in it that are, in the order of their names.
+
+    Raises:
+        UserError: there is none.
+    """
     if not folder.is_dir():
         raise UserError(f"{folder}: no such folder")
     if (folder / SCENE_FILE).is_file():

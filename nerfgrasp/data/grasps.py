@@ -17,6 +17,9 @@ from nerfgrasp.geometry import make_pose
 from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
 from nerfgrasp.scenes.scene import Workspace
 
+HELD_OUT_SEED = 0
+"""Draws the negatives of held-out scenes, whatever a training's seed, so that `val/loss` compares across seeds."""
+
 
 @dataclass(frozen=True)
 class Negatives:
@@ -132,7 +135,7 @@ class GraspData(DemonstrationData):
         scenes_per_step: scenes in a batch.
         negatives: how the negative poses are drawn.
         random_views: whether a step takes random views of a scene as input, or always its first ones.
-        seed: of all draws.
+        seed: of all draws for training.
         workers: processes that draw batches, 0 or 1.
     """
 
@@ -160,16 +163,16 @@ class GraspData(DemonstrationData):
 
     def val_dataloader(self) -> DataLoader:
         """Returns the held-out scenes, each with negatives that are the same every time."""
-        return DataLoader(HeldOutGrasps(self.held_out, self.views, self.negatives, self.seed), batch_size=None)
+        return DataLoader(HeldOutGrasps(self.held_out, self.views, self.negatives), batch_size=None)
 
     test_dataloader = val_dataloader
 
 
 class HeldOutGrasps(Dataset[GraspBatch]):
-    """Held-out scenes by their first views, with a fixed draw of negatives each."""
+    """Held-out scenes by their first views, with a draw of negatives each that is the same in every training."""
 
-    def __init__(self, scenes: PackedScenes, views: int, negatives: Negatives, seed: int) -> None:
-        self.scenes, self.views, self.negatives, self.seed = scenes, views, negatives, seed
+    def __init__(self, scenes: PackedScenes, views: int, negatives: Negatives) -> None:
+        self.scenes, self.views, self.negatives = scenes, views, negatives
         self.grasps = list(demonstrations(scenes).items())
 
     def __len__(self) -> int:
@@ -179,7 +182,7 @@ class HeldOutGrasps(Dataset[GraspBatch]):
         if item >= len(self):
             raise IndexError(item)
         scene, grasp = self.grasps[item]
-        generator = np.random.default_rng((self.seed, scene))
+        generator = np.random.default_rng((HELD_OUT_SEED, scene))
         drawn = _draw_one(self.scenes, scene, np.arange(self.views), grasp, self.negatives, generator)
         batch: GraspBatch = default_collate([drawn])
         return batch

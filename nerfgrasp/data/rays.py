@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, default_collate
 
-from nerfgrasp.data.sources import SceneSource, check_source, open_source
+from nerfgrasp.data.sources import SceneSource, check_apart, check_source, one_folder, open_source
 from nerfgrasp.data.streams import SceneSet, StepDataModule
 from nerfgrasp.data.views import Views, read_views
 from nerfgrasp.geometry import box_intersection, crop_to_box, pixel_rays
@@ -83,8 +83,8 @@ class RayData(StepDataModule):
         self.target_views, self.object_share, self.image_size = target_views, object_share, image_size
         self.validation_scenes, self.validation_targets = validation_scenes, validation_targets
         self.seed, self.workers = seed, workers
-        one_folder = not isinstance(train, SceneSet) and train == validation
-        self.kept_out = validation_targets if one_folder else 0
+        captured = not (isinstance(train, SceneSet) and isinstance(validation, SceneSet))
+        self.kept_out = validation_targets if captured and one_folder(train, validation) else 0
 
     def check(self, stage: str = "fit") -> None:
         """See `StepDataModule`."""
@@ -93,6 +93,7 @@ class RayData(StepDataModule):
             alike = self.image_size is None and self.scenes_per_step > 1
             views = self.views + self.target_views + self.kept_out
             check_source("data.init_args.train", self.train_set, self.scenes_per_step, views, alike)
+            check_apart(self.train_set, self.validation_set)
         views = self.views + self.validation_targets
         check_source("data.init_args.validation", self.validation_set, 1, views, alike=False)
 

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from nerfgrasp.data.captures import CapturedScenes
+from nerfgrasp.data.captures import CapturedScenes, scene_folders
 from nerfgrasp.data.packed import PackedScenes
 from nerfgrasp.data.settings import SET_FILE, read_settings
 from nerfgrasp.data.streams import SceneSet, check_enough
@@ -43,9 +43,46 @@ def open_source(source: SceneSet | Path) -> SceneSource:
     """
     if isinstance(source, SceneSet):
         return source.open()
-    if (source / SET_FILE).exists() and read_settings(source)[0].format == "packed":
-        return PackedScenes(source)
-    return CapturedScenes(source)
+    return PackedScenes(source) if _is_packed(source) else CapturedScenes(source)
+
+
+def _is_packed(folder: Path) -> bool:
+    return (folder / SET_FILE).exists() and read_settings(folder)[0].format == "packed"
+
+
+def one_folder(source: SceneSet | Path, other: SceneSet | Path) -> bool:
+    """Returns whether two sources are the same folder, however it is spelled."""
+    return _folder(source) == _folder(other)
+
+
+def check_apart(source: SceneSet | Path, other: SceneSet | Path) -> None:
+    """Compares what is learned from with what is kept out of it, where at least one is a folder.
+
+    Raises:
+        UserError: one lies in the other, or they share a scene, but they are not one folder.
+    """
+    one, two = _folder(source), _folder(other)
+    if one == two or (isinstance(source, SceneSet) and isinstance(other, SceneSet)):
+        return
+    where = f"data.init_args: train ({one}) and validation ({two})"
+    if one in two.parents or two in one.parents:
+        raise UserError(f"{where} lie one in the other: give two folders apart, or one twice")
+    shared = _scenes_of(source) & _scenes_of(other)
+    if shared:
+        raise UserError(f"{where} share the scene {min(shared)}: give two folders apart, or one twice")
+
+
+def _folder(source: SceneSet | Path) -> Path:
+    """Returns a source's folder, absolute and with links followed."""
+    return Path(source.folder if isinstance(source, SceneSet) else source).resolve()
+
+
+def _scenes_of(source: SceneSet | Path) -> set[Path]:
+    """Returns the folders of captured scenes, of any other set its own."""
+    folder = _folder(source)
+    if isinstance(source, SceneSet) or _is_packed(folder):
+        return {folder}
+    return {path.resolve() for path in scene_folders(folder)}
 
 
 def check_source(where: str, source: SceneSet | Path, scenes: int, views: int, alike: bool) -> None:

@@ -17,6 +17,7 @@ from nerfgrasp.geometry.cameras import (
 )
 from nerfgrasp.geometry.crops import crop_to_box
 from nerfgrasp.geometry.frames import invert, is_rigid, make_pose, transform
+from nerfgrasp.geometry.precision import exact
 from nerfgrasp.geometry.rays import box_intersection
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "box_intersection",
     "crop_to_box",
     "depth_along_axis",
+    "exact",
     "invert",
     "is_rigid",
     "look_at",

@@ -8,6 +8,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from nerfgrasp.geometry.frames import invert, make_pose, transform
+from nerfgrasp.geometry.precision import exact
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,7 @@ class Camera:
         return Camera(self.intrinsics.to(device), self.T_world_camera.to(device), self.width, self.height)
 
 
+@exact
 def project(camera: Camera, points: Tensor) -> tuple[Tensor, Tensor]:
     """Projects world points into cameras: u = K (R x + t) / z.
 
@@ -92,6 +94,7 @@ def pixel_centres(width: int, height: int) -> Tensor:
     return torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1)
 
 
+@exact
 def pixel_rays(camera: Camera, pixels: Tensor) -> tuple[Tensor, Tensor]:
     """Returns the world-frame rays through pixels.
 

@@ -84,6 +84,13 @@ class Encoder(nn.Module):
         """The number C of feature channels."""
         return self.config.vit_channels + self.config.conv_channels
 
+    def map_size(self, height: int, width: int) -> tuple[int, int]:
+        """Returns the features' h and w for images of a size."""
+        if self.config.upsample:
+            return height, width
+        high, wide = (self.config.conv_size,) * 2 if self.config.conv_size is not None else (height, width)
+        return (high + 1) // 2, (wide + 1) // 2
+
     def forward(self, images: Tensor) -> Tensor:
         """See the class."""
         normalised = (images - self.statistics[0]) / self.statistics[1]

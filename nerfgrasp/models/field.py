@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import embedding_bag, grid_sample, linear, relu, softplus
 
-from nerfgrasp.geometry import Camera, project, transform
+from nerfgrasp.geometry import Camera, exact, project, transform
 from nerfgrasp.geometry.frames import invert
 
 
@@ -119,16 +119,12 @@ class Field(nn.Module):
         batch, rays, samples, _ = points.shape
         views = maps.images.shape[1]
         flat = points.reshape(batch, 1, rays * samples, 3)
-        T_camera_world = invert(maps.camera.T_world_camera)
-        in_camera = transform(T_camera_world, flat)
-        pixels, _ = project(maps.camera, flat)
-        size = torch.tensor([maps.camera.width, maps.camera.height], device=points.device)
-        grid = (2.0 * pixels / size - 1.0).clamp(-2.0, 2.0).flatten(0, 1)
+        in_camera, turned, grid = _as_seen(flat, directions, maps.camera)
+        grid = grid.flatten(0, 1)
         colours = sample_maps(maps.images.flatten(0, 1).movedim(1, -1), grid)
         features = sample_maps(maps.features.flatten(0, 1), grid)
         encoded = encode(in_camera.flatten(0, 1), self.config.position_frequencies)
         point_part = self.point_layer(torch.cat([encoded, colours], dim=-1)) + features
-        turned = directions[:, None] @ T_camera_world[..., :3, :3].transpose(-1, -2)
         direction_part = self.direction_layer(encode(turned, self.config.direction_frequencies))
         x = point_part.view(batch, views, rays, samples, -1) + direction_part[..., None, :]
         if self.height_layer is not None:
@@ -174,6 +170,27 @@ class ResidualBlock(nn.Module):
         return x + self.second(relu(self.first(relu(x))))
 
 
+@exact
+def _as_seen(points: Tensor, directions: Tensor, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
+    """Returns points and directions in cameras' frames, and where the points lie on the images.
+
+    Args:
+        points: `[B, 1, P, 3]` in metres, world frame.
+        directions: `[B, R, 3]`.
+        camera: batch shape `[B, V]`.
+
+    Returns:
+        Points `[B, V, P, 3]`, directions `[B, V, R, 3]`, and `[B, V, P, 2]`, x and y in [-1, 1] from border to border;
+        what lies far beyond is brought nearer.
+    """
+    T_camera_world = invert(camera.T_world_camera)
+    in_camera = transform(T_camera_world, points)
+    turned = directions[:, None] @ T_camera_world[..., :3, :3].transpose(-1, -2)
+    pixels, _ = project(camera, points)
+    size = torch.tensor([camera.width, camera.height], device=points.device)
+    return in_camera, turned, (2.0 * pixels / size - 1.0).clamp(-2.0, 2.0)
+
+
 def encode(x: Tensor, frequencies: int) -> Tensor:
     """Positional encoding: sin(π 2ᵏ x), cos(π 2ᵏ x) for k < `frequencies`; `[..., D]` to `[..., 2·D·frequencies]`.
 
@@ -187,7 +204,8 @@ def encode(x: Tensor, frequencies: int) -> Tensor:
 def sample_maps(maps: Tensor, grid: Tensor) -> Tensor:
     """Bilinear samples of maps, which repeat their borders; as `grid_sample(align_corners=False)` gives them.
 
-    On the CPU a sum of rows of the map, where channels lie together, is several times faster, above all backward.
+    On the CPU a sum of rows of the map, where channels lie together, is several times faster, above all backward. On
+    MPS `grid_sample` repeats no borders in all versions of PyTorch.
 
     Args:
         maps: `[N, h, w, C]`.
@@ -196,19 +214,29 @@ def sample_maps(maps: Tensor, grid: Tensor) -> Tensor:
     Returns:
         `[N, P, C]`.
     """
-    if maps.device.type != "cpu":
+    if maps.device.type == "cuda":
         sampled = grid_sample(maps.movedim(-1, 1), grid[:, None], padding_mode="border", align_corners=False)
         return sampled[:, :, 0].transpose(1, 2)
     count, height, width, channels = maps.shape
-    size = torch.tensor([width, height], dtype=grid.dtype)
+    size = torch.tensor([width, height], dtype=grid.dtype, device=grid.device)
     position = torch.minimum((0.5 * (grid + 1.0) * size - 0.5).clamp(min=0.0), size - 1.0)
     low = torch.minimum(position.detach().floor(), size - 2.0)
     x, y = (position - low).unbind(dim=-1)
     # A position that is no number has some row's index and no number for its share: what comes out is none either.
     column, row = low.nan_to_num().long().unbind(dim=-1)
-    first = (torch.arange(count)[:, None] * height + row) * width + column
-    corners = first[..., None] + torch.tensor([0, 1, width, width + 1])
+    first = (torch.arange(count, device=grid.device)[:, None] * height + row) * width + column
+    corners = first[..., None] + torch.tensor([0, 1, width, width + 1], device=grid.device)
     shares = torch.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], dim=-1)
     rows = maps.reshape(-1, channels)
-    sampled = embedding_bag(corners.view(-1, 4), rows, per_sample_weights=shares.view(-1, 4).to(rows), mode="sum")
-    return sampled.view(*grid.shape[:2], channels)
+    weigh = _weighted_rows if maps.device.type == "cpu" else _gathered_rows
+    return weigh(rows, corners.view(-1, 4), shares.view(-1, 4).to(rows)).view(*grid.shape[:2], channels)
+
+
+def _weighted_rows(rows: Tensor, chosen: Tensor, weights: Tensor) -> Tensor:
+    """Returns the sums `[P, C]` of rows `[N, C]`, the chosen ones `[P, 4]` by their weights `[P, 4]`."""
+    return embedding_bag(chosen, rows, per_sample_weights=weights, mode="sum")
+
+
+def _gathered_rows(rows: Tensor, chosen: Tensor, weights: Tensor) -> Tensor:
+    """Does what `_weighted_rows` does, by operations that every device has."""
+    return (rows[chosen] * weights[..., None]).sum(dim=1)

@@ -14,7 +14,7 @@ from safetensors.torch import load_file, save
 from torch import nn
 
 from nerfgrasp.errors import UserError, unknown_name
-from nerfgrasp.files import make_folder, read_json, replacing
+from nerfgrasp.files import make_folder, read_json, replacing, write_through
 from nerfgrasp.models.grasp_value import GraspValue
 from nerfgrasp.models.mvnerf import MVNeRF
 from nerfgrasp.models.stored import StoredModule
@@ -29,7 +29,10 @@ Stored = TypeVar("Stored", bound=StoredModule)
 
 
 def save_model(folder: Path, model: StoredModule, *, dtype: torch.dtype | None = None) -> None:
-    """Writes a model folder; a model that is there already stays until all of the new one is written.
+    """Writes a model folder; a model that is there already stays until all of the new one is on the disk.
+
+    The config holds the weights file's SHA-256: where a process is killed as the two files take their places, what it
+    leaves is refused by `load_stored`.
 
     Args:
         folder: made if it is not there.
@@ -46,10 +49,12 @@ def save_model(folder: Path, model: StoredModule, *, dtype: torch.dtype | None =
     state = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state_dict().items()}
     if dtype is not None:
         state = {name: tensor.to(dtype) if tensor.is_floating_point() else tensor for name, tensor in state.items()}
+    weights = save(state)
+    config["weights_sha256"] = hashlib.sha256(weights).hexdigest()
     make_folder(folder)
     with replacing(folder / _CONFIG) as config_file, replacing(folder / _WEIGHTS) as weights_file:
-        config_file.write_text(json.dumps(config, indent=2) + "\n")
-        weights_file.write_bytes(save(state))
+        write_through(config_file, (json.dumps(config, indent=2) + "\n").encode())
+        write_through(weights_file, weights)
 
 
 def load_model(name: str | Path) -> MVNeRF | GraspValue:
@@ -68,7 +73,7 @@ def load_stored(name: str | Path, *modules: type[Stored]) -> Stored:
 
     Raises:
         UserError: there is no such model, it is of none of the classes, or a file of it is missing, truncated or of
-            another shape.
+            another shape, or they were not written together.
     """
     folder = find_model(str(name))
     config = read_json(folder / _CONFIG)
@@ -80,7 +85,7 @@ def load_stored(name: str | Path, *modules: type[Stored]) -> Stored:
         model = module(from_plain(module.config_class, _without_pretrained(plain)))
     except (UserError, TypeError, ValueError, RuntimeError) as error:
         raise UserError(f"{folder / _CONFIG}: {error}") from error
-    _load_weights(model, folder / _WEIGHTS)
+    _load_weights(model, folder / _WEIGHTS, config.get("weights_sha256"))
     return model.eval()
 
 
@@ -163,7 +168,8 @@ def _without_pretrained(plain: dict[str, Any]) -> dict[str, Any]:
     return {**copy, "pretrained": False} if "pretrained" in copy else copy
 
 
-def _load_weights(model: nn.Module, path: Path) -> None:
+def _load_weights(model: nn.Module, path: Path, sha256: str | None) -> None:
+    """Loads a file; its hash is compared if there is one to compare it with."""
     try:
         state = load_file(path)
     except FileNotFoundError:
@@ -175,6 +181,10 @@ def _load_weights(model: nn.Module, path: Path) -> None:
     except RuntimeError as error:
         reason = str(error).splitlines()[1].strip() if "\n" in str(error) else str(error)
         raise UserError(f"{path} does not fit {_CONFIG}: {shorten(reason, 160)}") from error
+    with path.open("rb") as file:
+        found = hashlib.file_digest(file, "sha256").hexdigest()
+    if sha256 not in (None, found):
+        raise UserError(f"{path} is not the file that {_CONFIG} was written with: write the model again")
 
 
 def _fetch(repository: str) -> Path:

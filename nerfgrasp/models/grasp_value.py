@@ -8,10 +8,13 @@ from torch import Tensor, nn
 from torch.nn.functional import elu
 
 from nerfgrasp.errors import UserError
-from nerfgrasp.geometry import Camera
+from nerfgrasp.geometry import Camera, exact
 from nerfgrasp.models.mvnerf import MVNeRF, MVNeRFConfig, SceneFeatures
 from nerfgrasp.models.stored import StoredModule
 from nerfgrasp.scenes.scene import Observations, Workspace
+
+LOSSES = ("softmax", "binary")
+"""By what a grasp value may be trained."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +37,17 @@ class GraspValueConfig:
     other."""
     renders: bool = True
     """Whether the backbone has learned to render: if not, its density says nothing, and no search is to heed it."""
+    loss: str = "softmax"
+    """By what it was trained: `softmax` among a scene's poses, or `binary`, each pose by itself."""
 
 
 class GraspValue(StoredModule):
     """The grasp value: a small readout on an MVNeRF.
 
     Source: the paper, section III-B, and its supplementary diagrams.
+
+    Raises:
+        UserError: the config names no loss that there is.
     """
 
     kind = "grasp_value"
@@ -52,6 +60,8 @@ class GraspValue(StoredModule):
 
     def __init__(self, config: GraspValueConfig) -> None:
         super().__init__()
+        if config.loss not in LOSSES:
+            raise UserError(f"loss is {config.loss!r}: it must be one of {', '.join(LOSSES)}")
         self.config = config
         self.backbone = MVNeRF(config.backbone)
         count, width = self.backbone.fine.activation_count, config.backbone.fine.width
@@ -92,9 +102,8 @@ class GraspValue(StoredModule):
         Raises:
             UserError: there are fewer images than the backbone sees at once.
         """
+        observations.require(self.views)
         groups = len(observations) // self.views
-        if groups == 0:
-            raise UserError(f"the model needs {self.views} views, the scene has {len(observations)}")
         used = observations.select(slice(groups * self.views))
         shape = (groups, self.views)
         camera = Camera(
@@ -134,6 +143,7 @@ class GraspValue(StoredModule):
         flat = probes[:, :, self.orders].flatten(-2)
         return self.readout(elu(self.blocks(flat)))[..., 0].mean(dim=-1)
 
+    @exact
     def _probes(self, T_world_grasp: Tensor) -> tuple[Tensor, Tensor]:
         """Points `[B, P, 6, 7, 3]` and directions `[B, P, 6, 3]` around grasps `[B, P, 4, 4]`."""
         T_world_ray = T_world_grasp[:, :, None] @ self.rays

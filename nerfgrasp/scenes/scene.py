@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import Camera
 from nerfgrasp.scenes.objects import SceneObject
 
@@ -59,6 +60,15 @@ class Observations:
         """Returns the observations of some of the views."""
         depth = None if self.depth is None else self.depth[views]
         return Observations(self.images[views], self.camera[views], depth, self.truth)
+
+    def require(self, views: int) -> None:
+        """Compares the views with how many a model sees at once.
+
+        Raises:
+            UserError: there are fewer.
+        """
+        if len(self) < views:
+            raise UserError(f"the model needs {views} views, the scene has {len(self)}")
 
     def to(self, device: torch.device | str) -> "Observations":
         """Returns the same observations on `device`."""

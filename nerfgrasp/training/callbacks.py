@@ -27,9 +27,13 @@ class ExpectedTime(Callback):
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Notes where the run starts."""
         self._first, self._begin = trainer.global_step, 0.0
+        self._last = trainer.global_step
 
     def on_train_batch_end(self, trainer: Trainer, *_: object) -> None:
-        """Times steps after the first, which is slower than the rest."""
+        """Times steps after the first, which is slower than the rest; a step may take several batches."""
+        if trainer.global_step == self._last:
+            return
+        self._last = trainer.global_step
         done = trainer.global_step - self._first
         if done == 1:
             self._begin = time.monotonic()

@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, cross_entropy
 from torchmetrics import MeanMetric
 
-from nerfgrasp.data.grasps import GraspBatch
+from nerfgrasp.data.grasps import GraspBatch, GraspData
 from nerfgrasp.errors import UserError
 from nerfgrasp.models import GraspValue, GraspValueConfig, MVNeRF, MVNeRFConfig
 from nerfgrasp.models.folder import load_backbone, weights_hash
@@ -39,7 +39,8 @@ class GraspValueTraining(ScheduledTraining):
         learning_rate: Adam's.
         encoder_learning_rate: of the encoder, where it is trained.
         schedule: how both change over the steps.
-        cache_features: whether the image features of every view are kept in memory once a frozen backbone made them.
+        cache_features: whether the image features of every view are kept in the device's memory once a frozen backbone
+            made them.
         seed: of the start.
 
     Raises:
@@ -65,7 +66,7 @@ class GraspValueTraining(ScheduledTraining):
         super().__init__(schedule, {"loss": MeanMetric(), "top1": MeanMetric()})
         pretrained, shape = _start(backbone, network)
         widths = (activation_width, pose_width, hidden_width, output_width)
-        config = GraspValueConfig(shape, *widths, symmetric, renders=pretrained is not None)
+        config = GraspValueConfig(shape, *widths, symmetric, renders=pretrained is not None, loss=loss)
         self.network = seeded(seed, lambda: GraspValue(config))
         self.backbone_hash = None if pretrained is None else weights_hash(pretrained)
         if pretrained is None:
@@ -105,6 +106,15 @@ class GraspValueTraining(ScheduledTraining):
     def training_values(self, batch: GraspBatch) -> Tensor:
         """Returns the values `[B, P]` of a training batch's poses; a frozen backbone's features are kept in memory."""
         return self.network(self.features(batch), batch.T_world_grasp) if self.frozen else self.values(batch)
+
+    def kept_bytes(self, data: Any, batches: int) -> int:
+        """See `ScheduledTraining`: the image features of every view that is seen."""
+        if not (self.frozen and self.features.enabled and isinstance(data, GraspData)):
+            return 0
+        scenes = data.train_set
+        there = scenes.scenes * (scenes.views if data.random_views else data.views)
+        seen = min(there, batches * data.scenes_per_step * data.views)
+        return seen * self.features.view_bytes(scenes.size)
 
     def values(self, batch: GraspBatch) -> Tensor:
         """Returns the values `[B, P]` of any batch's poses."""

@@ -44,6 +44,15 @@ class ScheduledTraining(LightningModule):
 
     on_test_epoch_end = on_validation_epoch_end
 
+    def kept_bytes(self, data: Any, batches: int) -> int:
+        """Returns how much memory at most a process will come to keep of its data.
+
+        Args:
+            data: the data module.
+            batches: training batches in all.
+        """
+        return 0
+
     def adam(self, groups: list[dict[str, Any]]) -> OptimizerLRScheduler:
         """Returns Adam on groups of `params`, each with its `lr`, under the schedule."""
         optimizer = torch.optim.Adam(groups)
@@ -52,7 +61,8 @@ class ScheduledTraining(LightningModule):
 
 
 def seeded(seed: int, build: Callable[[], Network]) -> Network:
-    """Returns what `build` makes with random numbers of the seed; the state of the process's own stays as it is."""
+    """Returns what `build` makes on the CPU with random numbers of the seed; the process's own are left as they are."""
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
+        # Not `torch.manual_seed`: it would seed the generators of all CUDA devices as well.
+        torch.default_generator.manual_seed(seed)
         return build()

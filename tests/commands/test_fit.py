@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import torch
+from lightning import Trainer
 from lightning.pytorch.demos.boring_classes import BoringModel
 from safetensors import safe_open
 
@@ -20,6 +21,8 @@ from nerfgrasp.models import MVNeRF
 from nerfgrasp.models.folder import load_model, save_model
 from nerfgrasp.scenes.folder import write_scene
 from nerfgrasp.training import MVNeRFTraining
+from nerfgrasp.training.module import ScheduledTraining
+from nerfgrasp.training.schedule import LearningRate
 
 # Lightning calls what jsonargparse is about to retire.
 pytestmark = pytest.mark.filterwarnings("ignore::jsonargparse._deprecated.JsonargparseDeprecationWarning")
@@ -218,3 +221,19 @@ def test_a_mistake_of_ours_keeps_its_traceback(config: Path, monkeypatch: pytest
     monkeypatch.setattr(MVNeRFTraining, "configure_optimizers", faulty)
     with pytest.raises(ValueError, match="a bug"):
         cli.main(["fit", "--config", str(config)])
+
+
+def test_features_that_do_not_fit_into_memory_are_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Keeps(ScheduledTraining):
+        def kept_bytes(self, data: Any, batches: int) -> int:
+            return 1000 * batches
+
+    trainer = Trainer(accelerator="cpu", max_steps=2_000_000, accumulate_grad_batches=2, logger=False)
+    monkeypatch.setattr(fit, "memory_bytes", lambda device: 4_000_000_000)
+    fit._check_memory(Keeps(LearningRate(), {}), None, trainer)
+    assert capsys.readouterr().out.endswith("the views' image features are kept: 4 GB of the memory of cpu\n")
+    monkeypatch.setattr(fit, "memory_bytes", lambda device: 3_900_000_000)
+    with pytest.raises(UserError, match=r"features take 4 GB of memory, cpu has 3.9 GB: give --model.init_args.cache_"):
+        fit._check_memory(Keeps(LearningRate(), {}), None, trainer)

@@ -10,6 +10,7 @@ from nerfgrasp.data.captures import CapturedScenes
 from nerfgrasp.data.packed import PackedScenes
 from nerfgrasp.data.rays import RayBatch, RayData
 from nerfgrasp.data.sources import open_source
+from nerfgrasp.data.streams import SceneSet
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import Camera, project
 from nerfgrasp.models import MVNeRF
@@ -102,6 +103,30 @@ def test_the_last_views_of_a_folder_for_both_are_kept_out_of_training(captures: 
         found = batch(data, seed)
         seen = torch.cat([found.inputs.T_world_camera[0, :, :3, 3], found.origins[0]])
         assert not (seen[:, None] == last[:, :3, 3]).all(-1).any()
+
+
+def test_one_folder_is_one_however_it_is_spelled(
+    captures: Path, packed_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "link").symlink_to(captures)
+    monkeypatch.chdir(captures.parent)
+    packed = SceneSet(packed_set, scenes=4, views=6, seed=5, size=32)
+    for other in (Path(captures.name), tmp_path / "link", captures / "a" / ".."):
+        assert RayData(captures, other, views=2).kept_out == 1
+    assert RayData(packed_set, packed).kept_out == 1
+    assert RayData(captures / "a", captures / "b").kept_out == 0
+
+
+def test_training_and_validation_folders_share_no_scene(captures: Path, tmp_path: Path) -> None:
+    (tmp_path / "held-out").mkdir()
+    (tmp_path / "held-out" / "mine").symlink_to(captures / "b")
+    options: dict[str, Any] = {"views": 2, "image_size": 16}
+    for train, validation in ((captures, captures / "a"), (captures / "a", captures)):
+        with pytest.raises(UserError, match=r"train \(.*\) and validation \(.*\) lie one in the other"):
+            RayData(train, validation, **options).check()
+    with pytest.raises(UserError, match="share the scene .*b: give two folders apart, or one twice"):
+        RayData(captures, tmp_path / "held-out", **options).check()
+    RayData(captures / "a", tmp_path / "held-out", **options).check()
 
 
 def test_masks_of_packed_sets_are_cut_with_their_images(packed_set: Path) -> None:

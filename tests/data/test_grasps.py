@@ -196,6 +196,16 @@ def test_held_out_negatives_are_the_same_every_time(packed_set: Path) -> None:
     assert not torch.equal(items[0].T_world_grasp[0, 1:], items[1].T_world_grasp[0, 1:])
 
 
+def test_held_out_negatives_do_not_depend_on_the_training_s_seed(packed_set: Path) -> None:
+    scenes, kinds = PackedScenes(packed_set), Negatives(uniform=5, near=2, upright=2, perturbed=2)
+    generator = np.random.default_rng((0, 1))
+    positive = half_turned(demonstrations(scenes)[1][None], generator)
+    negatives = draw_negatives(demonstrations(scenes)[1], scenes.workspace, kinds, generator)
+    for seed in (0, 7):
+        item = list(grasps(packed_set, seed=seed).val_dataloader())[1]
+        assert torch.equal(item.T_world_grasp[0], torch.cat([positive, negatives]))
+
+
 def test_too_few_demonstrations_or_views_are_refused(packed_set: Path) -> None:
     with pytest.raises(UserError, match="4 scenes with a demonstrated grasp are needed at once, the set has 3"):
         grasps(packed_set, scenes_per_step=4)

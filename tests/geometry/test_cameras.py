@@ -173,3 +173,12 @@ def test_boxes_are_seen_as_their_points_are() -> None:
         both |= set(sees[sees == found].tolist())
         assert (sees & ~found).sum() <= 1  # a sliver between the points
     assert both == {True, False}
+
+
+def test_mixed_precision_leaves_geometry_alone() -> None:
+    camera, points = example_camera(torch.float32), 0.2 * torch.rand(4, 50, 3)
+    pixels, depth = project(camera, points)
+    origins, directions = pixel_rays(camera, pixels)
+    with torch.autocast("cpu", torch.bfloat16):
+        mixed, again = project(camera, points), pixel_rays(camera, pixels=pixels)
+    assert all(torch.equal(*pair) for pair in zip((pixels, depth, origins, directions), (*mixed, *again), strict=True))

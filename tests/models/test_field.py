@@ -10,6 +10,7 @@ from torch.nn.functional import grid_sample
 
 from nerfgrasp.geometry import Camera, invert, make_pose, project, transform
 from nerfgrasp.models import Field, FieldConfig
+from nerfgrasp.models import field as module
 from nerfgrasp.models.field import ViewMaps, encode, sample_maps
 
 SMALL = FieldConfig(width=16, view_blocks=2, fused_blocks=3, position_frequencies=5, direction_frequencies=3)
@@ -132,7 +133,10 @@ def test_variance_is_pooled_by_its_formula() -> None:
     torch.testing.assert_close(field._pool(views)[0, 0, 0], torch.tensor([2.0, 9.0]))
 
 
-def test_maps_are_sampled_as_grid_sample_does() -> None:
+@pytest.mark.parametrize("device", ["cpu", "another"])
+def test_maps_are_sampled_as_grid_sample_does(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if device == "another":
+        monkeypatch.setattr(module, "_weighted_rows", module._gathered_rows)
     torch.manual_seed(0)
     for height, width in ((2, 2), (7, 12)):
         maps, grid = torch.randn(3, height, width, 5), 3.0 * torch.rand(3, 200, 2) - 1.5
@@ -156,6 +160,20 @@ def test_samples_at_no_number_are_none() -> None:
     found = sample_maps(torch.rand(1, 4, 4, 3), grid)
     assert found[0, 0].isnan().all()
     assert found[0, 1].isfinite().all()
+
+
+def test_mixed_precision_leaves_what_the_layers_see_of_points_alone(scene, queries) -> None:
+    field = Field(replace(SMALL, height_frequencies=4), 8)
+    given: list[Tensor] = []
+    for layer in (field.point_layer, field.direction_layer, field.height_layer):
+        layer.register_forward_pre_hook(lambda layer, inputs: given.append(inputs[0]))
+    seen = maps(field, scene)
+    with torch.autocast("cpu", torch.bfloat16):
+        raw = field(seen, *queries)
+    field(seen, *queries)
+    assert raw[0].dtype == torch.bfloat16, "what follows is in half precision"
+    for mixed, full in zip(given[:3], given[3:], strict=True):
+        assert torch.equal(mixed, full)
 
 
 def test_blended_colours_are_those_of_the_views(scene, queries) -> None:

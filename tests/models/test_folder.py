@@ -147,13 +147,31 @@ def test_a_failed_write_leaves_the_old_model(saved: Path, network: MVNeRF, monke
 
     def full(path: Path, data: bytes) -> None:
         path.write_text("half")
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        if path.name.startswith(".model"):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     nn.init.zeros_(network.fine.readout.weight)
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(module, "write_through", full)
     with pytest.raises(UserError, match=r"cannot write .*model.safetensors: No space left on device"):
         save_model(saved, network)
     assert {path.name: path.read_bytes() for path in saved.iterdir()} == before
+
+
+def test_a_kill_between_the_two_files_is_told(
+    saved: Path, network: MVNeRF, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced, fsync = [], os.fsync
+    monkeypatch.setattr(os, "fsync", lambda file: synced.append(fsync(file)))
+    nn.init.zeros_(network.fine.readout.weight)
+    save_model(tmp_path / "new", network)
+    assert len(synced) == 2
+    (tmp_path / "new" / "model.safetensors").replace(saved / "model.safetensors")
+    with pytest.raises(UserError, match=r"model.safetensors is not the file that config.json was written with"):
+        load_model(saved)
+    config = json.loads((saved / "config.json").read_text())
+    del config["weights_sha256"]
+    (saved / "config.json").write_text(json.dumps(config))
+    assert weights_hash(load_model(saved)) == weights_hash(network), "older folders have no hash"
 
 
 def test_weights_are_as_readable_as_any_other_file(saved: Path) -> None:

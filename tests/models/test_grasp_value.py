@@ -61,6 +61,13 @@ def test_bases_are_turned_about_y_alone() -> None:
     assert len(probe_steps()) == 7
 
 
+def test_mixed_precision_leaves_the_probes_alone(model: GraspValue) -> None:
+    T = make_pose(roma.random_rotmat(5), torch.rand(5, 3))[None]
+    with torch.autocast("cpu", torch.bfloat16):
+        mixed = model._probes(T)
+    assert all(torch.equal(*pair) for pair in zip(mixed, model._probes(T), strict=True))
+
+
 def test_probes_move_with_the_grasp(model: GraspValue) -> None:
     T = poses(1)
     at_home, ahead = model._probes(torch.eye(4)[None, None])

@@ -56,9 +56,9 @@ def train(folder: Path, module: Slope, values: list[float], *more: Callback, **o
 def test_the_expected_time_is_told_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     callback, trainer = ExpectedTime(), SimpleNamespace(global_step=100, max_steps=1921)
     callback.on_train_start(trainer, None)  # type: ignore[arg-type]
-    for step in range(101, 140):
-        trainer.global_step = step
-        monkeypatch.setattr(callbacks.time, "monotonic", lambda now=2.0 * step: now)
+    for batch in range(201, 280):  # two batches a step
+        trainer.global_step = batch // 2
+        monkeypatch.setattr(callbacks.time, "monotonic", lambda now=1.0 * batch: now)
         callback.on_train_batch_end(trainer)  # type: ignore[arg-type]
     assert capsys.readouterr().out == "\n2.00 s a step: about 1.0 hours to go\n"
 

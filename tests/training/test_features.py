@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -70,3 +71,32 @@ def test_a_view_is_encoded_once_whatever_its_batch(
     assert torch.equal(again.fine.features[0], first.fine.features[1].flip(0))
     other_order = FeatureCache(backbone)(batch(cameras, [9, 7], [[1, 0], [0, 1]]))
     assert torch.equal(other_order.fine.features, again.fine.features.flip(0))
+
+
+def test_images_of_another_size_are_cut_once(
+    tiny_network: Callable[..., Any], cameras: Callable[..., Camera], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    torch.manual_seed(0)
+    backbone = MVNeRF(tiny_network(image_size=24)).eval()
+    asked = batch(cameras, [4, 7], [[0, 2], [1, 0]])
+    plain, cache = FeatureCache(backbone, enabled=False)(asked).fine, FeatureCache(backbone)
+    cache(asked)
+    monkeypatch.setattr(backbone, "fit_images", None)
+    again = cache(asked).fine
+    torch.testing.assert_close(again.features, plain.features, atol=2e-3, rtol=2e-3)
+    assert torch.equal(again.images, plain.images)
+    assert torch.equal(again.camera.intrinsics, plain.camera.intrinsics)
+    assert (again.camera.width, again.camera.height) == (24, 24)
+
+
+@pytest.mark.parametrize("shape", [{}, {"upsample": True}, {"conv_size": 15}, {"image_size": 24}])
+def test_the_memory_that_a_view_takes_is_told_beforehand(
+    tiny_network: Callable[..., Any], cameras: Callable[..., Camera], shape: dict[str, Any]
+) -> None:
+    size = {key: shape[key] for key in shape.keys() & {"image_size"}}
+    plain = tiny_network(**size)
+    encoder = replace(plain.encoder, **{key: shape[key] for key in shape.keys() - size.keys()})
+    cache = FeatureCache(MVNeRF(replace(plain, encoder=encoder)).eval())
+    cache(batch(cameras, [4], [[0, 2]]))
+    parts = [part for kept in cache._kept.values() for part in kept if part is not None]
+    assert sum(part.nbytes for part in parts) == 2 * cache.view_bytes(32)

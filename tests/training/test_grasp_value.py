@@ -1,3 +1,4 @@
+import json
 import math
 import re
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from nerfgrasp.data.grasps import GraspData, Negatives
 from nerfgrasp.data.streams import SceneSet
 from nerfgrasp.errors import UserError
 from nerfgrasp.models import GraspValue, GraspValueConfig, MVNeRF
-from nerfgrasp.models.folder import save_model, weights_hash
+from nerfgrasp.models.folder import load_model, save_model, weights_hash
 from nerfgrasp.training import GraspValueTraining, MVNeRFTraining
 from nerfgrasp.training.grasp_value import grasp_loss
 
@@ -183,3 +184,31 @@ def test_a_backbone_or_a_shape_must_be_given(backbone: Path, tiny_network) -> No
     for given in ({}, {"backbone": str(backbone), "network": tiny_network()}):
         with pytest.raises(UserError, match="give backbone .* or network"):
             GraspValueTraining(**given)
+
+
+def test_the_memory_of_features_is_that_of_the_views_that_are_seen(
+    backbone: Path, data: Callable[[], GraspData], tiny_network: Callable[..., Any]
+) -> None:
+    first, every = data(), data()
+    every.random_views = True
+    kept = training(backbone)
+    view = kept.features.view_bytes(32)
+    assert view == 2 * 16 * 16 * 16
+    assert [kept.kept_bytes(first, 100), kept.kept_bytes(every, 100)] == [4 * 3 * view, 4 * 6 * view]
+    assert kept.kept_bytes(every, 1) == 2 * 3 * view
+    assert training(backbone, cache_features=False).kept_bytes(every, 100) == 0
+    assert from_scratch(tiny_network()).kept_bytes(every, 100) == 0
+
+
+def test_a_model_folder_says_by_what_loss_it_was_trained(backbone: Path, tmp_path: Path) -> None:
+    for loss in ("softmax", "binary"):
+        save_model(tmp_path / "head", training(backbone, loss=loss).network)
+        assert load_model(tmp_path / "head").config.loss == loss
+    file = tmp_path / "head" / "config.json"
+    plain = json.loads(file.read_text())
+    file.write_text(json.dumps({**plain, "config": {**plain["config"], "loss": "hinge"}}))
+    with pytest.raises(UserError, match=r"config.json: loss is 'hinge': it must be one of softmax, binary"):
+        load_model(tmp_path / "head")
+    del plain["config"]["loss"]
+    file.write_text(json.dumps(plain))
+    assert load_model(tmp_path / "head").config.loss == "softmax", "older folders do not say"

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from nerfgrasp.geometry import make_pose
+from nerfgrasp.geometry import exact, make_pose
 from nerfgrasp.scenes.scene import Workspace
 
 
@@ -29,6 +29,7 @@ def upright(workspace: Workspace) -> Tensor:
     return planar_pose(torch.zeros_like(middle[0]), middle)
 
 
+@exact
 def turned(T_world_canvas: Tensor, count: int) -> Tensor:
     """Returns `[..., K, 3, 3]`: canvases `[..., 3, 3]` turned about their middles by k π / K."""
     angle = torch.arange(count).to(T_world_canvas) * (math.pi / count)
@@ -51,6 +52,7 @@ def cell_centres(side: int, pixel: float) -> Tensor:
     return torch.stack(torch.meshgrid(along, along, indexing="xy"), dim=-1)
 
 
+@exact
 def cut(maps: Tensor, workspace: Workspace, T_world_canvas: Tensor, side: int, pixel: float) -> tuple[Tensor, Tensor]:
     """Resamples a map into canvases, bilinearly.
 
@@ -72,6 +74,7 @@ def cut(maps: Tensor, workspace: Workspace, T_world_canvas: Tensor, side: int, p
     return grid_sample(many, grid, align_corners=False), (grid.abs() <= 1).all(dim=-1)
 
 
+@exact
 def grasp_cell(T_world_grasp: Tensor, T_world_canvas: Tensor, side: int, pixel: float) -> Tensor:
     """Returns the cell `[3]` (canvas, row, column), long, that stands for a grasp.
 
@@ -89,6 +92,7 @@ def grasp_cell(T_world_grasp: Tensor, T_world_canvas: Tensor, side: int, pixel: 
     return torch.stack([closest, row, column])
 
 
+@exact
 def cell_grasps(cells: Tensor, T_world_canvas: Tensor, side: int, pixel: float) -> Tensor:
     """Returns the grasps `[N, 4, 4]` on the table, z = 0, that cells `[N, 3]` (canvas, row, column) stand for."""
     canvas = T_world_canvas[cells[:, 0]]

@@ -48,10 +48,11 @@ class Transporter:
         """Returns up to `count` different grasps, best first; nothing in it is random. Values are logits.
 
         Raises:
-            UserError: the observations come without depth.
+            UserError: the observations come without depth, or there are fewer than the network was trained on.
         """
         if observations.depth is None:
             raise UserError("method 'transporter' needs depth images, and the scene has none")
+        observations.require(self.model.config.views)
         seen, pixel = observations.select(slice(self.model.config.views)), self.model.config.pixel
         assert seen.depth is not None
         maps = height_map(seen.images, seen.depth, seen.camera, workspace, pixel)

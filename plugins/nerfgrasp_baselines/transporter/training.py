@@ -9,7 +9,7 @@ from torchmetrics import MeanMetric
 from nerfgrasp.errors import UserError
 from nerfgrasp.scenes.scene import Workspace
 from nerfgrasp.search.ranking import grasp_angle
-from nerfgrasp.training.module import ScheduledTraining
+from nerfgrasp.training.module import ScheduledTraining, seeded
 from nerfgrasp.training.schedule import LearningRate
 from nerfgrasp_baselines.transporter.canvases import cell_grasps, grasp_cell
 from nerfgrasp_baselines.transporter.data import HeightBatch
@@ -39,9 +39,7 @@ class TransporterTraining(ScheduledTraining):
         seed: int = 0,
     ) -> None:
         super().__init__(schedule, {"loss": MeanMetric(), "close": MeanMetric()})
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            self.network = Attention(network)
+        self.network = seeded(seed, lambda: Attention(network))
         self.learning_rate = learning_rate
 
     def setup(self, stage: str) -> None:

@@ -131,3 +131,17 @@ def test_a_turned_scene_has_turned_values(workspace: Workspace) -> None:
     assert inside.float().mean() > 0.4
     torch.testing.assert_close(again[2:][inside], values[:2][inside], atol=1e-4, rtol=1e-3)
     assert values[values.isfinite()].std() > 0.01
+
+
+def test_mixed_precision_leaves_canvases_alone() -> None:
+    maps, grasp = torch.rand(4, 30, 40), make_pose(torch.eye(3), torch.tensor([0.13, 0.07, 0.0]))
+
+    def all_of_it() -> list[torch.Tensor]:
+        canvases = turned(upright(Workspace()), 5)
+        cell = grasp_cell(grasp, canvases, 16, 0.02)
+        found = cell_grasps(cell[None], canvases, 16, 0.02)
+        return [canvases, *cut(maps, Workspace(), canvases, 16, 0.02), cell, found]
+
+    with torch.autocast("cpu", torch.bfloat16):
+        mixed = all_of_it()
+    assert all(torch.equal(*pair) for pair in zip(mixed, all_of_it(), strict=True))

@@ -117,6 +117,11 @@ def test_no_depth_no_grasp(folder: Path, scene_set: SceneSet) -> None:
             HeightMapData(scene_set, other).check()
 
 
+def test_fewer_views_than_were_trained_on_are_refused(folder: Path) -> None:
+    with pytest.raises(UserError, match="^the model needs 3 views, the scene has 2$"):
+        propose(Attention(TINY), observations(folder).select(slice(2)))
+
+
 def test_a_batch_is_a_function_of_its_generator(scene_set: SceneSet) -> None:
     data = HeightMapData(scene_set, scene_set, scenes_per_step=2, pixel=TINY.pixel)
     data.check()
