@@ -100,6 +100,7 @@ def test_every_attempt_is_a_line_in_scene_order(unbroken: Path) -> None:
     assert sorted(path.name for path in unbroken.parent.iterdir()) == ["results.jsonl", "results.times.jsonl"]
 
 
+@pytest.mark.parametrize("case", ["clutter", "psi"], indirect=True)  # of several attempts a scene, and what learns
 @pytest.mark.usefixtures("ray_cluster")
 def test_a_cluster_changes_no_byte(case: Case, tmp_path: Path) -> None:
     evaluate(**case.arguments, out=tmp_path / "results.jsonl", workers=2, cluster="ray")
