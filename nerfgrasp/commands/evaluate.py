@@ -12,6 +12,7 @@ from nerfgrasp.evaluation.results import Row, Times, read_results
 from nerfgrasp.evaluation.trials import Trials, first_scene_hash, run_scene
 from nerfgrasp.parallel import Cluster, run_all
 from nerfgrasp.scenes.images import IMAGE_SIZE
+from nerfgrasp.search.devices import find_device
 from nerfgrasp.sim.attempt import Outcome
 from nerfgrasp.sim.catalogue import open_catalogue
 from nerfgrasp.sim.tasks import find_task
@@ -27,6 +28,7 @@ def evaluate(
     schedule: str | None = None,
     workers: int | None = None,
     cluster: Cluster | None = None,
+    device: str | None = None,
     objects: Path | None = None,
     size: int = IMAGE_SIZE,
 ) -> None:
@@ -43,8 +45,10 @@ def evaluate(
         seed: a set's scenes are the first of an endless sequence that the seed names; take one that was not trained on.
         out: the results file, e.g. `results.jsonl`; compressed if its name ends in `.gz`.
         schedule: how a method with search schedules is to search, e.g. `paper`; its own way if not given.
-        workers: number of processes; one a core if not given.
+        workers: number of processes; one a core if not given, and one alone on a device other than `cpu`.
         cluster: `ray` tries on a Ray cluster, whose machines all see the model and the objects.
+        device: where a method that takes a device computes: `cpu`, `cuda`, `mps` or e.g. `cuda:1`; its own choice,
+            which is `cpu` for Ψ, if not given.
         objects: for `novel`: a folder of URDFs or meshes; the one that NERFGRASP_OBJECTS names if not given, or else
             the objects that come with pybullet.
         size: width and height of a picture in pixels.
@@ -54,15 +58,17 @@ def evaluate(
             be written.
     """
     check_ranges(scenes=scenes, seed=seed, workers=workers, size=size)
+    if device is not None and find_device(device).type != "cpu":
+        workers = workers or 1
     found = find_task(task, objects)
     name, folder = find_method(method)
     out = Path(out)
     if out.is_dir():
         raise UserError(f"cannot write {out}: it is a folder")
-    loaded = load_method(name, folder, schedule)
+    loaded = load_method(name, folder, schedule, device)
     catalogue = open_catalogue(objects).sha256 if found.catalogue else None
     hashes = {"model": method_hash(loaded), "catalogue": catalogue, "search": method_search(loaded)}
-    trials = Trials(found, seed, name, folder, size=size, schedule=schedule, **hashes)
+    trials = Trials(found, seed, name, folder, size=size, schedule=schedule, device=device, **hashes)
     if out.exists():
         tally = Tally(_finished(trials, out, scenes))
         print(f"{out} is already complete: {scenes} scenes")
@@ -124,7 +130,7 @@ def _finished(trials: Trials, out: Path, scenes: int) -> list[Row]:
     first = rows[0]
     pairs = {
         key: (getattr(first, key), settings[key])
-        for key in ("set", "method", "model", "schedule", "search", "physics", "versions")
+        for key in ("set", "method", "model", "schedule", "search", "device", "physics", "versions")
     }
     pairs["scenes"] = (len({row.scene for row in rows}), scenes)
     pairs["scene_sha256"] = (first.scene_sha256, first_scene_hash(trials))

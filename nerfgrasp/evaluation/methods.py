@@ -76,16 +76,17 @@ def method_of(folder: Path, name: str) -> str:
 
 
 @lru_cache(maxsize=1)
-def load_method(name: str, folder: str | None, schedule: str | None = None) -> Method:
+def load_method(name: str, folder: str | None, schedule: str | None = None, device: str | None = None) -> Method:
     """Returns a method, loaded once a process.
 
     Args:
         name: as registered.
         folder: to load it from; None for its default.
         schedule: how it is to search, by name, for a method with a `with_schedule(name)`; None for its own way.
+        device: where it is to compute, for a method whose `from_pretrained` takes a `device`; None for its own choice.
 
     Raises:
-        UserError: it cannot be loaded, it has no default, or no such schedule; or its code is at fault.
+        UserError: it cannot be loaded, it has no default, or no such schedule or device; or its code is at fault.
     """
     kind = registry.load(registry.BASELINES, name)
     with blaming(name, "from_pretrained"):
@@ -94,7 +95,10 @@ def load_method(name: str, folder: str | None, schedule: str | None = None) -> M
             raise TypeError("it takes no folder")
         if folder is None and parameters[0].default is Parameter.empty:
             raise UserError(f"method {name!r} needs a model: give the model's folder instead of the method's name")
-        method: Method = kind.from_pretrained() if folder is None else kind.from_pretrained(folder)
+        if device is not None and "device" not in [parameter.name for parameter in parameters]:
+            raise UserError(f"method {name!r} takes no device: leave device {device!r} out")
+        where = {} if device is None else {"device": device}
+        method: Method = kind.from_pretrained(*([] if folder is None else [folder]), **where)
     if schedule is None:
         return method
     if not isinstance(method, Schedulable):

@@ -65,6 +65,8 @@ class Row:
     search: str | None = None
     """Name and hash of the search that was run, e.g. `guided-0123456789abcdef`; lines of a method that has none, and
     those written before there was a hash, do not hold it."""
+    device: str | None = None
+    """Where the method was asked to compute, which changes values in their last digits; not held where nobody did."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,9 @@ def read_times(path: Path) -> list[Times]:
 def row_to_json(row: Row) -> dict[str, Any]:
     """Returns one line of results as JSON data."""
     data = {"format": FORMAT_VERSION, **asdict(row)}
-    return {key: value for key, value in data.items() if key not in ("schedule", "search") or value is not None}
+    return {
+        key: value for key, value in data.items() if key not in ("schedule", "search", "device") or value is not None
+    }
 
 
 def row_from_json(data: Any) -> Row:

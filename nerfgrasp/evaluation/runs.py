@@ -13,7 +13,7 @@ from nerfgrasp.evaluation.results import Row, Times, read_results, read_times, t
 
 SUCCESS = "success"
 """The outcome that counts, as `nerfgrasp.sim.attempt.Outcome` names it; that would bring a simulator along."""
-CONSTANT = ("set", "task", "seed", "method", "model", "schedule", "search", "physics", "versions")
+CONSTANT = ("set", "task", "seed", "method", "model", "schedule", "search", "device", "physics", "versions")
 """What all lines of one file share."""
 
 

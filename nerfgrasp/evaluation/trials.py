@@ -59,6 +59,8 @@ class Trials:
     """How the method searches; None for its own way."""
     search: str | None = None
     """Name and hash of that search; None for a method without one."""
+    device: str | None = None
+    """Where the method computes; None for its own choice."""
 
     @property
     def set(self) -> str:
@@ -67,7 +69,7 @@ class Trials:
 
     def settings(self) -> dict[str, Any]:
         """Returns as JSON data what tells these trials from others; where folders lie does not."""
-        names = ("set", "seed", "method", "model", "size", "catalogue", "schedule", "search")
+        names = ("set", "seed", "method", "model", "size", "catalogue", "schedule", "search", "device")
         named = {name: getattr(self, name) for name in names}
         return {"task": self.task.name, **named, "physics": physics_hash(), "versions": versions()}
 
@@ -88,7 +90,7 @@ def run_scene(trials: Trials, scene: int) -> list[tuple[Row, Times]]:
     Raises:
         UserError: the method cannot be loaded, fails, or proposes what is no pose.
     """
-    method = load_method(trials.method, trials.folder, trials.schedule)
+    method = load_method(trials.method, trials.folder, trials.schedule, trials.device)
     truth, attempts = trials.task.draw(trials.seed, scene), []
     failed: list[Tensor] = []
     for number in range(trials.task.attempts):
@@ -163,6 +165,7 @@ def _try(trials: Trials, method: Method, truth: Truth, number: int, failed: list
         versions=versions(),
         schedule=trials.schedule,
         search=trials.search,
+        device=trials.device,
     )
     return row, Times(truth.index, number, *(after - before for before, after in pairwise(clock))), attempt
 

@@ -210,6 +210,8 @@ def test_finished_scenes_are_not_thrown_away_by_a_shorter_run(tmp_path: Path) ->
         ({"seed": -1}, "seed is -1"),
         ({"size": 8}, "size is 8: it must be from 16"),
         ({"workers": 0}, "workers is 0"),
+        ({"device": "cuda:99"}, "device 'cuda:99' is not there"),
+        ({"device": "cpu"}, "method 'random' takes no device: leave device 'cpu' out"),
     ],
 )
 def test_bad_values_are_one_line_and_nothing_is_written(
@@ -289,6 +291,8 @@ def test_a_schedule_is_recorded_and_kept_apart(model: Path, tmp_path: Path, monk
         evaluate(**arguments, out=out)
     with pytest.raises(UserError, match="unknown schedule 'papre': did you mean 'paper'"):
         evaluate(**arguments, schedule="papre", out=tmp_path / "other.jsonl")
+    with pytest.raises(UserError, match="holds other results: device None, asked for 'cpu'"):
+        evaluate(**arguments, schedule="paper", out=out, device="cpu")
     # Another search of the same name, finished or begun: neither is taken for the one asked for.
     search = STRATEGIES["paper"].identity
     monkeypatch.setattr(strategies, "SEARCH_VERSION", strategies.SEARCH_VERSION + 1)

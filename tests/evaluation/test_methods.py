@@ -42,6 +42,15 @@ class Raising:
         raise KeyError("theirs")
 
 
+class Placed:
+    def __init__(self, device: str) -> None:
+        self.device = device
+
+    @classmethod
+    def from_pretrained(cls, folder: str = "", *, device: str = "cpu") -> "Placed":
+        return cls(device)
+
+
 class Scheduled(Trained):
     schedule = "own"
 
@@ -54,7 +63,7 @@ class Scheduled(Trained):
 @pytest.fixture(autouse=True)
 def _registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     methods: dict[str, Any] = {"trained": Trained, "untrained": Untrained, "scheduled": Scheduled}
-    methods |= {"faulty": Faulty, "raising": Raising, "psi": Raising}
+    methods |= {"faulty": Faulty, "raising": Raising, "psi": Raising, "placed": Placed}
     monkeypatch.setattr(registry, "load", lambda group, name: methods[name])
     load_method.cache_clear()
     yield
@@ -104,6 +113,13 @@ def test_a_schedule_is_for_methods_that_have_some() -> None:
     assert load_method("scheduled", "there").schedule == "own"  # type: ignore[attr-defined]
     with pytest.raises(UserError, match="method 'trained' has no search schedules: leave schedule 'paper' out"):
         load_method("trained", "there", "paper")
+
+
+def test_a_device_is_for_methods_that_take_one() -> None:
+    assert load_method("placed", None, None, "cpu:0").device == "cpu:0"  # type: ignore[attr-defined]
+    assert load_method("placed", None).device == "cpu"  # type: ignore[attr-defined]
+    with pytest.raises(UserError, match="method 'trained' takes no device: leave device 'cpu:0' out"):
+        load_method("trained", "there", None, "cpu:0")
 
 
 def test_the_hash_is_that_of_the_weights() -> None:
