@@ -35,6 +35,10 @@ class FeatureCache:
         self.backbone, self.enabled = backbone, enabled
         self._kept: dict[tuple[int, int], KeptView] = {}
 
+    def __len__(self) -> int:
+        """How many views are kept."""
+        return len(self._kept)
+
     @torch.no_grad()
     def __call__(self, batch: GraspBatch) -> SceneFeatures:
         """Returns the features of the batch's B scenes, for the fine field only."""

@@ -61,7 +61,7 @@ def test_a_variant_of_an_unknown_key_is_refused(config: dict[str, Any], monkeypa
 def test_features_are_those_of_every_view(config: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     training, data = built(config, monkeypatch)
     shared = head_ablation.features(config["model"]["init_args"]["backbone"], data.train_set.folder)
-    assert len(shared._maps) == 4 * 6
+    assert len(shared) == 4 * 6
     batch = data.draw(np.random.default_rng(0))
     torch.testing.assert_close(
         shared(batch).fine.features, training.features(batch).fine.features, atol=1e-3, rtol=1e-3
