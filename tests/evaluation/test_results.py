@@ -35,22 +35,18 @@ def test_rows_come_back_as_they_were(rows: list[Row], tmp_path: Path) -> None:
     assert (first["set"], first["objects"], first["dropped"]) == ("simple-7", ["box", "cylinder"], [])
 
 
-def test_a_schedule_is_written_only_where_it_was_asked_for(rows: list[Row], tmp_path: Path) -> None:
-    rows[1] = replace(rows[1], schedule="paper")
+@pytest.mark.parametrize(
+    ("name", "value"), [("schedule", "paper"), ("search", "guided-0123456789abcdef"), ("device", "cuda")]
+)
+def test_what_not_every_line_has_is_written_only_where_it_is_known(
+    name: str, value: str, rows: list[Row], tmp_path: Path
+) -> None:
+    rows[1] = replace(rows[1], **{name: value})  # type: ignore[arg-type]
     write_results(tmp_path / "results.jsonl", rows)
     assert read_results(tmp_path / "results.jsonl") == rows
-    own, paper = map(json.loads, (tmp_path / "results.jsonl").read_text().splitlines())
-    assert "schedule" not in own
-    assert paper["schedule"] == "paper"
-
-
-def test_lines_say_by_which_search_and_older_ones_are_read(rows: list[Row], tmp_path: Path) -> None:
-    rows[1] = replace(rows[1], search="guided-0123456789abcdef")
-    write_results(tmp_path / "results.jsonl", rows)
-    assert read_results(tmp_path / "results.jsonl") == rows
-    older, new = map(json.loads, (tmp_path / "results.jsonl").read_text().splitlines())
-    assert "search" not in older
-    assert new["search"] == "guided-0123456789abcdef"
+    without, with_it = map(json.loads, (tmp_path / "results.jsonl").read_text().splitlines())
+    assert name not in without
+    assert with_it[name] == value
 
 
 def test_times_come_back_as_they_were(tmp_path: Path) -> None:
