@@ -8,7 +8,7 @@ an evaluation with a gradient counts as two. All keep to the same limits, and th
 feasibility, but not polished, before the best is carried out; `paper as it is` has neither. The model's density, asked
 for candidates and for feasibility, is not counted. Most schedules draw their candidates anywhere; with `--spacing
 0.015` all draw them where the model sees something, as `guided` does, so that only what follows tells them apart.
-`tune` finds the learning rates of `joint` and `prune` by the mean over scenes of the best final value, out of five
+`tune` finds the learning rates of `joint` and `prune` by the mean over scenes of the best final value, out of seven
 each; the others keep theirs.
 
 A killed run goes on where the same command is given again; a finished one prints its tables again.
@@ -46,7 +46,7 @@ STRATEGIES = {
 `resample` 2464 and `paper` 2470; how many `joint` and `prune` do, which stop once converged, was tried in scenes of the
 tuning seed."""
 TUNED = ("joint", "prune")
-RATES = (0.0025, 0.005, 0.01, 0.02, 0.04)
+RATES = (0.0025, 0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
 
 
 @dataclass(frozen=True)
