@@ -12,7 +12,8 @@ from nerfgrasp.models.folder import save_model
 
 def row(translation: float | None, rotation: float) -> slices.Row:
     means: dict[str, float | None] = {"rotation": rotation}
-    return {"slices": {"tx-ty": translation}, "means": means | ({} if translation is None else {"translation": 0.5})}
+    means |= {} if translation is None else {"translation": 0.5}
+    return {"slices": {"tx-ty": translation}, "means": means, "below": {}}
 
 
 def test_summary_and_differences_are_over_scenes() -> None:
@@ -35,3 +36,15 @@ def test_a_scene_is_measured(tmp_path: Path, tiny_network: Callable[..., Any]) -
     assert set(found["slices"]) == {"tx-ty", "ry-rz"}
     assert set(found["means"]) == {"translation", "rotation"}
     assert all(value is not None and -1 <= value <= 1 for value in found["slices"].values())
+    assert len(found["below"]) == len(slices.ERRORS)
+    assert all(value is None or value >= 0 for value in found["below"].values())
+
+
+def test_how_values_fall_off_is_by_the_grasp_error() -> None:
+    values = torch.tensor([[5.0, 3.0], [1.0, torch.nan]])
+    true = torch.tensor([[-0.0, -0.3], [-0.4, torch.nan]])
+    found = slices.falling_off([(values, true), (values + 1, true)])
+    assert found["0"] == pytest.approx(0.5)
+    assert found["0.25"] == pytest.approx((3 + 5 + 2 + 4) / 4)
+    assert found["0.5"] is None
+    assert slices.falling_off([]) == {}
