@@ -26,6 +26,7 @@ def evaluate(
     seed: int,
     out: Path,
     schedule: str | None = None,
+    pose: str | None = None,
     workers: int | None = None,
     cluster: Cluster | None = None,
     device: str | None = None,
@@ -45,6 +46,8 @@ def evaluate(
         seed: a set's scenes are the first of an endless sequence that the seed names; take one that was not trained on.
         out: the results file, e.g. `results.jsonl`; compressed if its name ends in `.gz`.
         schedule: how a method with search schedules is to search, e.g. `paper`; its own way if not given.
+        pose: the registered name of the pose parameterization that a method which climbs is to climb in; its own if not
+            given.
         workers: number of processes; one a core if not given, and one alone on a device other than `cpu`.
         cluster: `ray` tries on a Ray cluster, whose machines all see the model and the objects.
         device: where a method that takes a device computes: `cpu`, `cuda`, `mps` or e.g. `cuda:1`; its own choice,
@@ -65,10 +68,11 @@ def evaluate(
     out = Path(out)
     if out.is_dir():
         raise UserError(f"cannot write {out}: it is a folder")
-    loaded = load_method(name, folder, schedule, device)
+    loaded = load_method(name, folder, schedule, device, pose)
     catalogue = open_catalogue(objects).sha256 if found.catalogue else None
     hashes = {"model": method_hash(loaded), "catalogue": catalogue, "search": method_search(loaded)}
-    trials = Trials(found, seed, name, folder, size=size, schedule=schedule, device=device, **hashes)
+    asked = {"schedule": schedule, "device": device, "pose": pose}
+    trials = Trials(found, seed, name, folder, size=size, **asked, **hashes)
     if out.exists():
         tally = Tally(_finished(trials, out, scenes))
         print(f"{out} is already complete: {scenes} scenes")
@@ -130,7 +134,7 @@ def _finished(trials: Trials, out: Path, scenes: int) -> list[Row]:
     first = rows[0]
     pairs = {
         key: (getattr(first, key), settings[key])
-        for key in ("set", "method", "model", "schedule", "search", "device", "physics", "versions")
+        for key in ("set", "method", "model", "schedule", "search", "device", "pose", "physics", "versions")
     }
     pairs["scenes"] = (len({row.scene for row in rows}), scenes)
     pairs["scene_sha256"] = (first.scene_sha256, first_scene_hash(trials))

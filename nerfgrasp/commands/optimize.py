@@ -25,7 +25,7 @@ from nerfgrasp.scenes.shipped import find_scene
 from nerfgrasp.scenes.truth import workspace_to_json
 from nerfgrasp.search.ascent import Trace
 from nerfgrasp.search.devices import find_device
-from nerfgrasp.search.parameterization import load_pose
+from nerfgrasp.search.parameterization import DEFAULT_POSE, load_pose
 from nerfgrasp.search.psi import Psi
 from nerfgrasp.search.ranking import distinct
 from nerfgrasp.search.strategies import DEFAULT_STRATEGY, Strategy, find_strategy
@@ -41,7 +41,7 @@ def optimize(
     *,
     model: str = DEFAULT_MODEL,
     schedule: str = DEFAULT_STRATEGY,
-    pose: str = "quaternion",
+    pose: str = DEFAULT_POSE,
     candidates: int | None = None,
     keep: int | None = None,
     max_tilt: float | None = None,

@@ -38,6 +38,14 @@ class Schedulable(Protocol):
         """Returns the method with another search, by its name; an unknown one is a UserError."""
 
 
+@runtime_checkable
+class Posable(Protocol):
+    """A method that searches in a pose parameterization."""
+
+    def with_pose(self, name: str) -> Method:
+        """Returns the method in another parameterization, by its registered name; an unknown one is a UserError."""
+
+
 def find_method(name: str) -> tuple[str, str | None]:
     """Returns the registered name of a method and the model folder that it is to be loaded from.
 
@@ -76,7 +84,9 @@ def method_of(folder: Path, name: str) -> str:
 
 
 @lru_cache(maxsize=1)
-def load_method(name: str, folder: str | None, schedule: str | None = None, device: str | None = None) -> Method:
+def load_method(
+    name: str, folder: str | None, schedule: str | None = None, device: str | None = None, pose: str | None = None
+) -> Method:
     """Returns a method, loaded once a process.
 
     Args:
@@ -84,9 +94,11 @@ def load_method(name: str, folder: str | None, schedule: str | None = None, devi
         folder: to load it from; None for its default.
         schedule: how it is to search, by name, for a method with a `with_schedule(name)`; None for its own way.
         device: where it is to compute, for a method whose `from_pretrained` takes a `device`; None for its own choice.
+        pose: the parameterization that it is to search in, for a method with a `with_pose(name)`; None for its own.
 
     Raises:
-        UserError: it cannot be loaded, it has no default, or no such schedule or device; or its code is at fault.
+        UserError: it cannot be loaded, it has no default, or no such schedule, device or parameterization; or its code
+            is at fault.
     """
     kind = registry.load(registry.BASELINES, name)
     with blaming(name, "from_pretrained"):
@@ -99,12 +111,17 @@ def load_method(name: str, folder: str | None, schedule: str | None = None, devi
             raise UserError(f"method {name!r} takes no device: leave device {device!r} out")
         where = {} if device is None else {"device": device}
         method: Method = kind.from_pretrained(*([] if folder is None else [folder]), **where)
-    if schedule is None:
-        return method
-    if not isinstance(method, Schedulable):
-        raise UserError(f"method {name!r} has no search schedules: leave schedule {schedule!r} out")
-    with blaming(name, "with_schedule"):
-        return method.with_schedule(schedule)
+    if schedule is not None:
+        if not isinstance(method, Schedulable):
+            raise UserError(f"method {name!r} has no search schedules: leave schedule {schedule!r} out")
+        with blaming(name, "with_schedule"):
+            method = method.with_schedule(schedule)
+    if pose is not None:
+        if not isinstance(method, Posable):
+            raise UserError(f"method {name!r} searches in no pose parameterization: leave pose {pose!r} out")
+        with blaming(name, "with_pose"):
+            method = method.with_pose(pose)
+    return method
 
 
 @contextmanager

@@ -16,6 +16,8 @@ from nerfgrasp.errors import UserError
 from nerfgrasp.files import replacing
 
 FORMAT_VERSION = 1
+_OPTIONAL = ("schedule", "search", "device", "pose")
+"""What only those lines hold that it was asked or known for."""
 COMPRESSED = ".gz"
 Line = TypeVar("Line", "Row", "Times")
 
@@ -67,6 +69,8 @@ class Row:
     those written before there was a hash, do not hold it."""
     device: str | None = None
     """Where the method was asked to compute, which changes values in their last digits; not held where nobody did."""
+    pose: str | None = None
+    """The pose parameterization that was asked for; not held where nobody did."""
 
 
 @dataclass(frozen=True)
@@ -127,9 +131,7 @@ def read_times(path: Path) -> list[Times]:
 def row_to_json(row: Row) -> dict[str, Any]:
     """Returns one line of results as JSON data."""
     data = {"format": FORMAT_VERSION, **asdict(row)}
-    return {
-        key: value for key, value in data.items() if key not in ("schedule", "search", "device") or value is not None
-    }
+    return {key: value for key, value in data.items() if key not in _OPTIONAL or value is not None}
 
 
 def row_from_json(data: Any) -> Row:

@@ -13,7 +13,7 @@ from nerfgrasp.evaluation.results import Row, Times, read_results, read_times, t
 
 SUCCESS = "success"
 """The outcome that counts, as `nerfgrasp.sim.attempt.Outcome` names it; that would bring a simulator along."""
-CONSTANT = ("set", "task", "seed", "method", "model", "schedule", "search", "device", "physics", "versions")
+CONSTANT = ("set", "task", "seed", "method", "model", "schedule", "search", "device", "pose", "physics", "versions")
 """What all lines of one file share."""
 
 
@@ -28,8 +28,8 @@ class Run:
     times: tuple[Times, ...]
     """How long they took; empty where that is not kept."""
     label: str
-    """The name given, or the method, with its model's hash where several models of one method are compared and the
-    schedule asked for."""
+    """The name given, or the method, with its model's hash where several models of one method are compared, and the
+    schedule and the pose parameterization asked for."""
 
     @property
     def name(self) -> str:
@@ -82,7 +82,7 @@ def load_runs(paths: Sequence[Path], names: Mapping[Path, str] = MappingProxyTyp
     for path, rows in files.items():
         first, beside = rows[0], times_path(path)
         hashed = [(first.model or "no model")[:8]] if first.method in several else []
-        method = " ".join([first.method, *hashed, *([first.schedule] if first.schedule else [])])
+        method = " ".join([first.method, *hashed, *(one for one in (first.schedule, first.pose) if one)])
         label = names.get(path, method)
         runs.append(Run(path, tuple(rows), tuple(read_times(beside)) if beside.exists() else (), label))
     for one, other in combinations(runs, 2):
@@ -116,7 +116,7 @@ def _check_pair(one: Run, other: Run) -> None:
         raise UserError(f"{other.path} is of physics {b.physics}, {one.path} of {a.physics}: they do not compare")
     if a.task != b.task:
         return
-    if (a.method, a.model, a.schedule) == (b.method, b.model, b.schedule):
+    if _identity(a) == _identity(b):
         raise UserError(f"{one.path} and {other.path} are both of {a.method} on {a.task}: give one of them")
     if (a.set, a.seed) != (b.set, b.seed):
         raise UserError(
@@ -133,5 +133,10 @@ def _check_pair(one: Run, other: Run) -> None:
 
 def _check_names(one: Run, other: Run) -> None:
     a, b = one.rows[0], other.rows[0]
-    if one.label == other.label and (a.method, a.model, a.schedule) != (b.method, b.model, b.schedule):
+    if one.label == other.label and _identity(a) != _identity(b):
         raise UserError(f"{one.path} and {other.path} are both called {one.label}: a name stands for one method")
+
+
+def _identity(row: Row) -> tuple[str | None, ...]:
+    """Returns what tells a method, and how it was asked to search, from others."""
+    return row.method, row.model, row.schedule, row.pose

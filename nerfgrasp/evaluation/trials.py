@@ -61,6 +61,8 @@ class Trials:
     """Name and hash of that search; None for a method without one."""
     device: str | None = None
     """Where the method computes; None for its own choice."""
+    pose: str | None = None
+    """The parameterization that the method searches in; None for its own."""
 
     @property
     def set(self) -> str:
@@ -69,7 +71,7 @@ class Trials:
 
     def settings(self) -> dict[str, Any]:
         """Returns as JSON data what tells these trials from others; where folders lie does not."""
-        names = ("set", "seed", "method", "model", "size", "catalogue", "schedule", "search", "device")
+        names = ("set", "seed", "method", "model", "size", "catalogue", "schedule", "search", "device", "pose")
         named = {name: getattr(self, name) for name in names}
         return {"task": self.task.name, **named, "physics": physics_hash(), "versions": versions()}
 
@@ -90,7 +92,7 @@ def run_scene(trials: Trials, scene: int) -> list[tuple[Row, Times]]:
     Raises:
         UserError: the method cannot be loaded, fails, or proposes what is no pose.
     """
-    method = load_method(trials.method, trials.folder, trials.schedule, trials.device)
+    method = load_method(trials.method, trials.folder, trials.schedule, trials.device, trials.pose)
     truth, attempts = trials.task.draw(trials.seed, scene), []
     failed: list[Tensor] = []
     for number in range(trials.task.attempts):
@@ -166,6 +168,7 @@ def _try(trials: Trials, method: Method, truth: Truth, number: int, failed: list
         schedule=trials.schedule,
         search=trials.search,
         device=trials.device,
+        pose=trials.pose,
     )
     return row, Times(truth.index, number, *(after - before for before, after in pairwise(clock))), attempt
 

@@ -98,7 +98,7 @@ class GraspFinder:
         count: int = 5,
         *,
         schedule: str | Strategy | None = None,
-        pose: str | PoseParameterization = "quaternion",
+        pose: str | PoseParameterization | None = None,
         seed: int = 0,
     ) -> Grasps:
         """Searches an observed scene.
@@ -107,7 +107,7 @@ class GraspFinder:
             scene: from `observe`.
             count: how many grasps to return at most; there may be fewer that differ.
             schedule: how to search: a name, or what `find_strategy` returns; the method's own if None.
-            pose: the parameterization to climb in, or its registered name.
+            pose: the parameterization to climb in, or its registered name; the method's own if None.
             seed: the same seed finds the same grasps.
 
         Returns:

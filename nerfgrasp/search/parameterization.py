@@ -14,6 +14,8 @@ from nerfgrasp.scenes.scene import Workspace
 from nerfgrasp.search.candidates import random_candidates
 from nerfgrasp.search.schedule import GROUPS, PoseParameterization
 
+DEFAULT_POSE = "quaternion"
+"""The parameterization of a search that is given none."""
 _TRIED = (3, 1, 5)
 """Poses at once; the first is neither of the sizes 4 and 1, which could hide a mix-up."""
 _SLACK = 1e-4

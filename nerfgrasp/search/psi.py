@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, field
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -19,7 +19,7 @@ from nerfgrasp.search.candidates import random_candidates, resample
 from nerfgrasp.search.devices import find_device
 from nerfgrasp.search.feasibility import Feasibility
 from nerfgrasp.search.occupancy import Occupancy, occupancy, occupied_candidates
-from nerfgrasp.search.parameterization import load_pose
+from nerfgrasp.search.parameterization import DEFAULT_POSE, load_pose
 from nerfgrasp.search.ranges import check_number
 from nerfgrasp.search.ranking import best_first, distinct, finite_first
 from nerfgrasp.search.schedule import PoseParameterization
@@ -54,13 +54,20 @@ class Psi:
     """It sees RGB alone."""
 
     def __init__(
-        self, model: GraspValue, *, strategy: Strategy = GUIDED, images: int | None = None, chunk: int | None = None
+        self,
+        model: GraspValue,
+        *,
+        strategy: Strategy = GUIDED,
+        pose: str = DEFAULT_POSE,
+        images: int | None = None,
+        chunk: int | None = None,
     ) -> None:
         """Wraps a trained value.
 
         Args:
             model: the value Ψ on its backbone; the search runs on its device.
             strategy: how to search, where a search is not given another.
+            pose: the registered name of the parameterization to climb in, likewise.
             images: how many of a scene's images are used, from the front, if the model does not need more; every
                 scene must have as many. A model takes them in groups of as many as it sees at once, averages its values
                 over the groups (the paper's MV1), and leaves out what does not fill one. None for up to three.
@@ -73,6 +80,8 @@ class Psi:
         self.model = model.eval().requires_grad_(False)
         self.strategy = self.resolve(strategy)
         """What a search is that is not given another."""
+        self.pose = pose
+        """The parameterization that it climbs in, if it is not given another."""
         self.asked_images = images
         self.images = max(_IMAGES if images is None else images, model.views)
         """How many of a scene's images are used at most."""
@@ -102,7 +111,16 @@ class Psi:
 
     def with_schedule(self, name: str) -> "Psi":
         """Returns the same method with another search, by its name; an unknown one is a UserError."""
-        return type(self)(self.model, strategy=find_strategy(name), images=self.asked_images, chunk=self.chunk)
+        return self._with(strategy=find_strategy(name))
+
+    def with_pose(self, name: str) -> "Psi":
+        """Returns the same method in another parameterization, by its registered name.
+
+        Raises:
+            UserError: there is none of that name, or it breaks its word.
+        """
+        load_pose(name, Workspace())
+        return self._with(pose=name)
 
     def resolve(self, strategy: Strategy) -> Strategy:
         """Returns what is run where `strategy` is asked for: a model that cannot render is searched without density."""
@@ -138,7 +156,7 @@ class Psi:
         workspace: Workspace | None = None,
         *,
         generator: torch.Generator,
-        pose: str | PoseParameterization = "quaternion",
+        pose: str | PoseParameterization | None = None,
         strategy: Strategy | None = None,
     ) -> tuple[Grasps, Trace]:
         """Searches grasps and shows how the search went.
@@ -147,7 +165,7 @@ class Psi:
             scene: what `observe` returned, or what it takes.
             workspace: where to search; of an observed scene, its own.
             generator: the only source of randomness.
-            pose: the parameterization to climb in, or its registered name.
+            pose: the parameterization to climb in, or its registered name; the method's own if None.
             strategy: how to search; the method's own if None.
 
         Returns:
@@ -164,7 +182,7 @@ class Psi:
         how = self.strategy if strategy is None else self.resolve(strategy)
         climbed, trace = search(
             lambda T: self.model.value(features, T),
-            load_pose(pose, box),
+            load_pose(self.pose if pose is None else pose, box),
             box,
             candidates=how.candidates,
             keep=how.keep,
@@ -225,6 +243,11 @@ class Psi:
             grasps = best_first(torch.cat([moved, T[count:]]), torch.cat([risen, value[count:]]))
             count = goes_on
         return grasps
+
+    def _with(self, **changes: Any) -> "Psi":
+        """Returns a method on the same model that differs in something."""
+        same = {"strategy": self.strategy, "pose": self.pose, "images": self.asked_images, "chunk": self.chunk}
+        return type(self)(self.model, **{**same, **changes})
 
     def _draw(self, scene: ObservedScene, spacing: float | None) -> Draw:
         if spacing is None:

@@ -293,6 +293,14 @@ def test_a_schedule_is_recorded_and_kept_apart(model: Path, tmp_path: Path, monk
         evaluate(**arguments, schedule="papre", out=tmp_path / "other.jsonl")
     with pytest.raises(UserError, match="holds other results: device None, asked for 'cpu'"):
         evaluate(**arguments, schedule="paper", out=out, device="cpu")
+    evaluate(**arguments, schedule="paper", pose="screw", out=tmp_path / "screw.jsonl", workers=1)
+    [own], [screw] = read_results(out), read_results(tmp_path / "screw.jsonl")
+    assert (own.pose, screw.pose) == (None, "screw")
+    assert own.grasp != screw.grasp
+    with pytest.raises(UserError, match="holds other results: pose None, asked for 'screw'"):
+        evaluate(**arguments, schedule="paper", pose="screw", out=out)
+    with pytest.raises(UserError, match="unknown pose 'scerw': did you mean 'screw'"):
+        evaluate(**arguments, pose="scerw", out=tmp_path / "other.jsonl")
     # Another search of the same name, finished or begun: neither is taken for the one asked for.
     search = STRATEGIES["paper"].identity
     monkeypatch.setattr(strategies, "SEARCH_VERSION", strategies.SEARCH_VERSION + 1)

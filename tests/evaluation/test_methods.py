@@ -52,11 +52,16 @@ class Placed:
 
 
 class Scheduled(Trained):
-    schedule = "own"
+    schedule, pose = "own", "own"
 
     def with_schedule(self, name: str) -> "Scheduled":
         other = Scheduled(self.folder)
         other.schedule = name
+        return other
+
+    def with_pose(self, name: str) -> "Scheduled":
+        other = self.with_schedule(self.schedule)
+        other.pose = name
         return other
 
 
@@ -113,6 +118,13 @@ def test_a_schedule_is_for_methods_that_have_some() -> None:
     assert load_method("scheduled", "there").schedule == "own"  # type: ignore[attr-defined]
     with pytest.raises(UserError, match="method 'trained' has no search schedules: leave schedule 'paper' out"):
         load_method("trained", "there", "paper")
+
+
+def test_a_pose_is_for_methods_that_search_in_one() -> None:
+    method: Any = load_method("scheduled", "there", "paper", None, "rotvec")
+    assert (method.schedule, method.pose) == ("paper", "rotvec")
+    with pytest.raises(UserError, match="'trained' searches in no pose parameterization: leave pose 'rotvec' out"):
+        load_method("trained", "there", pose="rotvec")
 
 
 def test_a_device_is_for_methods_that_take_one() -> None:

@@ -128,6 +128,20 @@ def test_a_schedule_goes_by_its_name(method: Psi, workspace: Workspace) -> None:
         method.with_schedule("joit")
 
 
+def test_a_pose_goes_by_its_name(method: Psi, workspace: Workspace) -> None:
+    screw = method.with_schedule("paper").with_pose("screw")
+    assert (screw.strategy, screw.pose, method.pose) == (find_strategy("paper"), "screw", "quaternion")
+    few = find_strategy("paper", candidates=4)
+    own, asked, other = (
+        one.search(observe(3), workspace, generator=seeded(), strategy=few, pose=pose)[1].value
+        for one, pose in ((screw, None), (method, "screw"), (method, None))
+    )
+    assert torch.equal(own, asked)
+    assert not torch.equal(own, other)
+    with pytest.raises(UserError, match="unknown pose 'scerw': did you mean 'screw'"):
+        method.with_pose("scerw")
+
+
 def test_a_camera_that_sees_nothing_of_the_workspace_is_told(method: Psi) -> None:
     behind = Workspace(torch.tensor([-0.2, -0.2, -0.9]), torch.tensor([0.2, 0.2, -0.5]))
     with pytest.raises(UserError, match=r"camera 0 sees nothing of the workspace from \(-0.2, -0.2, -0.9\)"):
