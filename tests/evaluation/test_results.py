@@ -36,7 +36,8 @@ def test_rows_come_back_as_they_were(rows: list[Row], tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("schedule", "paper"), ("search", "guided-0123456789abcdef"), ("device", "cuda"), ("pose", "screw")]
+    ("name", "value"),
+    [("schedule", "paper"), ("search", "guided-0123456789abcdef"), ("device", "cuda"), ("pose", "screw")],
 )
 def test_what_not_every_line_has_is_written_only_where_it_is_known(
     name: str, value: str, rows: list[Row], tmp_path: Path
