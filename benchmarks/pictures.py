@@ -20,21 +20,18 @@ from torch import Tensor
 from tqdm import tqdm
 
 from nerfgrasp.files import replacing
-from nerfgrasp.geometry import Camera, look_at
+from nerfgrasp.geometry import Camera
 from nerfgrasp.scenes.oracle import sample_top_down, valid_grasps
 from nerfgrasp.scenes.scene import Truth
 from nerfgrasp.sim.attempt import Attempt, Outcome
 from nerfgrasp.sim.film import Frame, film_grasp
-from nerfgrasp.sim.rendering import render_scene
 from nerfgrasp.sim.tasks import TASKS, find_task, scene_cameras, scene_generator, simple_scene
 from nerfgrasp.viz.contact_sheet import Section, contact_sheet
+from nerfgrasp.viz.film_strip import close_up, film_strip, square_camera, square_image
 
-SIDE, COLUMNS = 200, 6
-"""Pixels of an image, and images in a row."""
-OVERSAMPLE = 2
-"""Images are rendered so many times larger and shrunk, which smooths their edges."""
+COLUMNS = 6
+"""Images in a row."""
 LENSES = {"simple": 1.15, "clutter": 1.4, "novel": 1.8}
-CLOSE_LENS = 1.4
 """Focal lengths in image widths; that of the tasks' own cameras is 0.94."""
 SHIFT, TURN, SINK = 0.014, math.radians(14.0), 0.004
 """How grasps are perturbed: metres and radians, standard deviations along and about each axis; and metres down."""
@@ -58,17 +55,6 @@ HEADINGS = {
     DROPPED: "an object dropped from the workspace",
     Outcome.NO_GRASP: "no grasp proposed",
 }
-CAPTIONS = {
-    "refused": "refused: it would cut the table",
-    "pregrasp": "75 mm back",
-    "grasp": "at the grasp",
-    "collision": "pressing: the attempt ends",
-    "closed": "closed",
-    "lifted": "lifted",
-    "held": "1 s later",
-    "after": "what remains",
-    "untouched": "nothing is tried",
-}
 
 
 def main(out: Path = Path("docs"), seed: int = 7, scenes: int = 12, objects: Path | None = None) -> None:
@@ -81,14 +67,17 @@ def main(out: Path = Path("docs"), seed: int = 7, scenes: int = 12, objects: Pat
         objects: a folder of object models for the novel task.
     """
     _write(out / "tasks.png", contact_sheet([task_section(name, seed, scenes, objects) for name in TASKS], COLUMNS))
-    _write(out / "outcomes.png", contact_sheet([strip(*found) for found in find_outcomes(seed)], COLUMNS))
+    _write(
+        out / "outcomes.png",
+        contact_sheet([film_strip(HEADINGS[name], *found) for name, *found in find_outcomes(seed)], COLUMNS),
+    )
 
 
 def task_section(name: str, seed: int, scenes: int, objects: Path | None) -> Section:
     """Returns one task's first scenes, each as its first camera sees it, captioned with what is in it."""
     task = find_task(name, objects if name == "novel" else None)
     truths = [task.draw(seed, index) for index in tqdm(range(scenes), desc=name)]
-    images = tuple(_render(truth, scene_camera(truth)) for truth in truths)
+    images = tuple(square_image(truth, scene_camera(truth)) for truth in truths)
     captions = tuple(_contents(truth) for truth in truths)
     return Section(TITLES[name].format(catalogue=task.catalogue), images, captions)
 
@@ -126,30 +115,7 @@ def perturbed_grasps(seed: int) -> Iterator[tuple[Truth, Tensor]]:
 
 def scene_camera(truth: Truth) -> Camera:
     """Returns the scene's first camera `[1]` with a longer lens, so that the objects fill the image."""
-    return _camera(scene_cameras(truth.seed, truth.index, 1).T_world_camera, LENSES[truth.task])
-
-
-def close_up(T_world_grasp: Tensor) -> Camera:
-    """Returns a camera `[1]` that looks at a grasp across its closing axis, from outside: less is in the way."""
-    across = T_world_grasp[:2, 1] / T_world_grasp[:2, 1].norm()
-    across = across if across @ T_world_grasp[:2, 3] > 0 else -across
-    turn = math.radians(20.0)
-    sideways = torch.tensor([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]]) @ across
-    target = torch.tensor([*T_world_grasp[:2, 3].tolist(), 0.1])
-    eye = target + 0.6 * torch.tensor([*(math.cos(0.5) * sideways).tolist(), math.sin(0.5)])
-    return _camera(look_at(eye, target)[None], CLOSE_LENS)
-
-
-def strip(name: str, frames: tuple[Frame, ...], camera: Camera) -> Section:
-    """Returns an attempt's frames side by side."""
-    images = tuple(_render(frame.truth, camera) for frame in frames)
-    return Section(HEADINGS[name], images, tuple(CAPTIONS[frame.stage] for frame in frames))
-
-
-def _camera(T_world_camera: Tensor, lens: float) -> Camera:
-    side = OVERSAMPLE * SIDE
-    intrinsics = torch.tensor([[lens * side, 0.0, side / 2], [0.0, lens * side, side / 2], [0.0, 0.0, 1.0]])
-    return Camera(intrinsics[None], T_world_camera, side, side)
+    return square_camera(scene_cameras(truth.seed, truth.index, 1).T_world_camera, LENSES[truth.task])
 
 
 def _name(attempt: Attempt) -> str:
@@ -159,11 +125,6 @@ def _name(attempt: Attempt) -> str:
 def _contents(truth: Truth) -> str:
     kinds = [getattr(thing, "name", None) or getattr(thing, "kind", "") for thing in truth.objects]
     return ", ".join(kinds) if len(kinds) <= 3 else f"{len(kinds)} objects"
-
-
-def _render(truth: Truth, camera: Camera) -> Image.Image:
-    images, _ = render_scene(truth, camera)
-    return Image.fromarray(images[0]).resize((SIDE, SIDE), Image.Resampling.LANCZOS)
 
 
 def _write(path: Path, image: Image.Image) -> None:

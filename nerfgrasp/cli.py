@@ -20,6 +20,7 @@ COMMANDS = {
     "validate": "run a config's validation on a checkpoint",
     "test": "run a config's test on a checkpoint",
     "evaluate": "try a method in the scenes of a task",
+    "replay": "show failed attempts of results: what was seen, imagined and done",
     "report": "print success rates, differences and errors of results",
     "table": "make the paper's table: data, trainings, evaluation, report",
     "objects": "import object models for the task of novel objects",

@@ -4,6 +4,7 @@ from nerfgrasp.errors import UserError
 
 RANGES = {
     "scenes": (1, 999_999),
+    "scene": (0, 999_999),
     "views": (1, 1000),
     "images": (1, 1000),
     "seed": (0, 2**32 - 1),

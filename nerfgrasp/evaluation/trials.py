@@ -138,7 +138,7 @@ def _try(trials: Trials, method: Method, truth: Truth, number: int, failed: list
     where = f"scene {truth.index}, attempt {number}"
     with blaming(trials.method, where):
         needs = frozenset(method.needs)
-    observations = _observe(truth, camera, needs)
+    observations = observe(truth, camera, needs)
     clock.append(time.perf_counter())
     with blaming(trials.method, where):
         grasps = _untried(method, observations, (truth.seed, truth.index, number), failed)
@@ -179,8 +179,8 @@ def proposal_generator(seed: int, index: int, attempt: int) -> torch.Generator:
     return torch.Generator().manual_seed(int(rng.integers(2**63)))
 
 
-def _observe(truth: Truth, camera: Camera, needs: frozenset[str]) -> Observations:
-    """Renders what a method may see: RGB, and only if it declares so depth or the truth."""
+def observe(truth: Truth, camera: Camera, needs: frozenset[str] = frozenset()) -> Observations:
+    """Returns what a method may see: RGB, and only if it declares so, by its `needs`, depth or the truth."""
     depth = None
     if "depth" in needs:
         images, _, metres = render_scene(truth, camera, depth=True)
