@@ -1,6 +1,7 @@
 """The command `nerfgrasp`: looks at its first argument and imports that one subcommand, nothing else.
 
-Mistakes of the user end in one line on stderr and exit status 2; `--debug` anywhere brings the traceback.
+Mistakes of the user end in one line on stderr and exit status 2, a search that finds nothing as good as asked for with
+status 1; `--debug` anywhere brings the traceback.
 """
 
 import sys
@@ -60,7 +61,7 @@ def main(argv: list[str] | None = None) -> int:
         if debug or line is None:
             raise
         print(f"nerfgrasp: error: {line}", file=sys.stderr)
-        return 2
+        return getattr(error, "status", UserError.status)
 
 
 def _run(args: list[str]) -> int:

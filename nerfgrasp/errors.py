@@ -1,4 +1,4 @@
-"""The one exception that means: the user can mend this, and one line says how."""
+"""What a command ends with in one line: the user can mend it, or there is nothing to be found."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -7,8 +7,17 @@ from difflib import get_close_matches
 class UserError(Exception):
     """A mistake in what the user gave. Its message is one line that says what is wrong and where.
 
-    The command prints it without a traceback and exits with status 2.
+    The command prints it without a traceback and exits with its status.
     """
+
+    status = 2
+    """The command's exit status."""
+
+
+class NoGraspError(UserError):
+    """Nothing was wrong, but the scene holds no grasp as good as asked for."""
+
+    status = 1
 
 
 def unknown_name(what: str, name: str, choices: Iterable[str]) -> UserError:

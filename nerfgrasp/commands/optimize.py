@@ -14,7 +14,7 @@ from torch import Tensor
 from nerfgrasp import __version__, registry
 from nerfgrasp.commands.publishing import publishing
 from nerfgrasp.commands.ranges import check_ranges
-from nerfgrasp.errors import UserError
+from nerfgrasp.errors import NoGraspError, UserError
 from nerfgrasp.evaluation.methods import method_of
 from nerfgrasp.files import write_json
 from nerfgrasp.models.folder import DEFAULT_MODEL, find_model
@@ -53,6 +53,7 @@ def optimize(
     execute: bool = False,
     count: int = 10,
     images: int | None = None,
+    least_value: float | None = None,
 ) -> None:
     """Finds grasps in a scene by gradient ascent on a model's grasp value.
 
@@ -77,9 +78,12 @@ def optimize(
         count: how many different grasps to list at most.
         images: how many of the scene's images are used, from the front; up to three, or as many as the model needs,
             if not given.
+        least_value: what a grasp must be worth, for a model trained with the loss `binary`: others' values compare
+            within one scene only. If none is, nothing is written and the exit status is 1.
 
     Raises:
         UserError: something asked for is not there, is damaged or cannot be written.
+        NoGraspError: no grasp is worth `least_value`.
     """
     check_ranges(count=count, seed=seed, images=images)
     strategy = find_strategy(schedule, candidates=candidates, keep=keep, max_tilt=max_tilt, clearance=clearance)
@@ -92,7 +96,7 @@ def optimize(
     destination = Path(f"{found.name}-grasp") if out is None else Path(out)
     with publishing(destination) as results:
         method = _load_method(model, folder, device, images)
-        asked = _Search(found, model, method, method.resolve(strategy), pose, seed, count, attempt)
+        asked = _Search(found, model, method, method.resolve(strategy), pose, seed, count, attempt, least_value)
         if asked.strategy.name != schedule:
             print(f"the model never learned to render, so {schedule} cannot guide its search", flush=True)
         _search_and_write(asked, results)
@@ -114,6 +118,8 @@ class _Search:
     count: int
     attempt: Callable[[Tensor], str] | None
     """What carries a grasp out, if that is to be done."""
+    least_value: float | None
+    """What a grasp must be worth."""
 
 
 def _search_and_write(asked: _Search, folder: Path) -> None:
@@ -123,7 +129,7 @@ def _search_and_write(asked: _Search, folder: Path) -> None:
     print(f"searching {scene.name}: {strategy.name}, {strategy}", flush=True)
     generator = torch.Generator().manual_seed(asked.seed)
     climbed, trace = method.search(observed, generator=generator, pose=asked.pose, strategy=strategy)
-    grasps = distinct(climbed.to("cpu"), count=asked.count)
+    grasps = _worth(asked, distinct(climbed.to("cpu"), count=asked.count))
     print("\n".join(table(grasps)), flush=True)
     settings = {"scene": scene.name, "model": asked.model, "pose": asked.pose, "seed": asked.seed}
     settings |= {**strategy.settings(), "workspace": workspace_to_json(scene.workspace)}
@@ -133,6 +139,19 @@ def _search_and_write(asked: _Search, folder: Path) -> None:
         print(f"the best grasp, carried out in physics: {data['grasps'][0]['outcome']}", flush=True)
     method.model.cpu()
     _write(folder, asked, grasps, trace.to("cpu"), data)
+
+
+def _worth(asked: _Search, grasps: Grasps) -> Grasps:
+    """Returns the grasps that are worth what was asked for."""
+    if asked.least_value is None:
+        return grasps
+    kept = asked.method.at_least(grasps, asked.least_value)
+    if len(kept) == 0:
+        raise NoGraspError(
+            f"scene {asked.scene.name}: the best grasp is worth {float(grasps.value[0]):.2f}, less than the "
+            f"{asked.least_value:g} asked for"
+        )
+    return kept
 
 
 def table(grasps: Grasps) -> list[str]:

@@ -100,6 +100,7 @@ class GraspFinder:
         schedule: str | Strategy | None = None,
         pose: str | PoseParameterization | None = None,
         seed: int = 0,
+        least_value: float | None = None,
     ) -> Grasps:
         """Searches an observed scene.
 
@@ -109,20 +110,23 @@ class GraspFinder:
             schedule: how to search: a name, or what `find_strategy` returns; the method's own if None.
             pose: the parameterization to climb in, or its registered name; the method's own if None.
             seed: the same seed finds the same grasps.
+            least_value: what a grasp must be worth, for a model trained with the loss `binary`; there may be none then.
 
         Returns:
             Grasps that differ from each other by 20 mm or 30° at least, best first, on the CPU: `T_world_grasp`
             `[N, 4, 4]`, and `value` `[N]`, logits that are comparable within one scene only.
 
         Raises:
-            UserError: a name is unknown, a number out of its range, or a plug-in breaks its word.
+            UserError: a name is unknown, a number out of its range, a plug-in breaks its word, or the model's values
+                reject no grasp.
         """
         if count < 1:
             raise UserError(f"count is {count}: it must be at least 1")
         strategy = find_strategy(schedule) if isinstance(schedule, str) else schedule
         generator = torch.Generator().manual_seed(seed)
         found, _ = self.method.search(scene, generator=generator, pose=pose, strategy=strategy)
-        return distinct(found.to("cpu"), count=count)
+        different = distinct(found.to("cpu"), count=count)
+        return different if least_value is None else self.method.at_least(different, least_value)
 
 
 def _workspace(given: Workspace | Array | None) -> Workspace:

@@ -203,6 +203,23 @@ class Psi:
         grasps, _ = self.search(observations, workspace, generator=generator)
         return distinct(grasps, count=count)
 
+    def at_least(self, grasps: Grasps, value: float) -> Grasps:
+        """Returns the grasps that are worth at least `value`, in their order; there may be none.
+
+        Raises:
+            UserError: `value` is not finite, or the model was trained by a softmax over a scene's poses: its values may
+                be shifted in every scene.
+        """
+        if not math.isfinite(value):
+            raise UserError(f"least_value is {value}: it must be a finite number")
+        if self.model.config.loss != "binary":
+            raise UserError(
+                f"least_value is {value:g}: the model's values compare within one scene only, and reject none; those "
+                "of a model trained with the loss 'binary' do"
+            )
+        kept = grasps.value >= value
+        return Grasps(grasps.T_world_grasp[kept], grasps.value[kept])
+
     def weigh(self, grasps: Grasps, scene: ObservedScene, feasibility: Feasibility) -> Grasps:
         """Returns grasps by value and feasibility together, best first.
 

@@ -115,6 +115,27 @@ def test_what_a_model_that_never_learned_to_render_imagines_is_left_out(
     assert "searching desk: resample, 12 candidates, the best 4 climb" in printed
 
 
+def test_only_a_value_that_is_anchored_rejects_a_scene(
+    desk: Path, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    torch.manual_seed(0)
+    binary = GraspValue(GraspValueConfig(backbone=tiny_backbone(), loss="binary"))
+    save_model(tmp_path / "model" / "binary", binary)
+    assert main(arguments(desk, tmp_path / "model" / "binary", tmp_path / "out")) == 0
+    values = [grasp["value"] for grasp in json.loads((tmp_path / "out" / "grasps.json").read_text())["grasps"]]
+    few = arguments(desk, tmp_path / "model" / "binary", tmp_path / "few", f"--least_value={values[0]}")
+    assert main(few) == 0
+    assert len(json.loads((tmp_path / "few" / "grasps.json").read_text())["grasps"]) == 1
+    capsys.readouterr()
+    none = arguments(desk, tmp_path / "model" / "binary", tmp_path / "none", f"--least_value={values[0] + 1}")
+    assert main(none) == 1
+    asked = f"worth {values[0]:.2f}, less than the {values[0] + 1:g} asked for"
+    assert asked in capsys.readouterr().err
+    assert main(arguments(desk, model, tmp_path / "none", "--least_value=0")) == 2
+    assert "least_value is 0: the model's values compare within one scene only" in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
+
+
 def test_the_same_seed_writes_the_same_bytes(
     desk: Path, model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -56,6 +56,23 @@ def test_three_lines_find_different_grasps(finder: GraspFinder, seen: tuple[Any,
     assert not torch.equal(T[0], other.T_world_grasp[0])
 
 
+def test_what_is_not_worth_enough_is_left_out(
+    finder: GraspFinder, seen: tuple[Any, Any, Any], tiny_network: Callable[..., Any]
+) -> None:
+    binary = GraspFinder(Psi(GraspValue(GraspValueConfig(tiny_network(), loss="binary"))))
+    scene = binary.observe(*seen)
+    every = binary.grasps(scene, count=4, schedule=FEW)
+    assert len(every) > 1
+    for least, count in ((float(every.value[-1]), len(every)), (float(every.value[0]), 1), (1e6, 0)):
+        kept = binary.grasps(scene, count=4, schedule=FEW, least_value=least)
+        assert torch.equal(kept.value, every.value[:count])
+        assert kept.T_world_grasp.shape == (count, 4, 4)
+    with pytest.raises(UserError, match="least_value is nan: it must be a finite number"):
+        binary.grasps(scene, schedule=FEW, least_value=float("nan"))
+    with pytest.raises(UserError, match="least_value is 0: the model's values compare within one scene only"):
+        finder.grasps(finder.observe(*seen), schedule=FEW, least_value=0.0)
+
+
 def test_what_was_observed_is_remembered_by_its_content(
     finder: GraspFinder, seen: tuple[Any, Any, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
