@@ -24,7 +24,7 @@ from nerfgrasp.sim.tasks import find_task, workspace
 from nerfgrasp.viz.contact_sheet import contact_sheet, stack
 from nerfgrasp.viz.figures import Panel, picture
 from nerfgrasp.viz.film_strip import close_up, film_strip
-from nerfgrasp.viz.imagination import FROM_GRASP, grasp_camera, imagine, imagined_panels
+from nerfgrasp.viz.imagination import grasp_camera, imagine_from_grasp, imagined_panels
 
 _COLUMNS = 8
 """Frames in a row."""
@@ -97,7 +97,8 @@ def attempt_picture(shown: Replay, model: GraspValue | None) -> Image.Image:
     T = recorded_pose(row.grasp).float()
     from_grasp = [_true_panel(shown.truth, grasp_camera(T))]
     if model is not None:
-        from_grasp += imagined_panels({FROM_GRASP: imagine(model, seen, workspace, T)[FROM_GRASP]})[0]
+        [imagined] = imagined_panels(imagine_from_grasp(model, seen, workspace, T))
+        from_grasp += imagined
     over = picture(seen, Grasps(T[None], torch.zeros(1)), [from_grasp])
     stages = contact_sheet([film_strip("", shown.frames, close_up(T))], _COLUMNS)
     return stack([[over], [stages]], {0: heading(row)})

@@ -36,10 +36,20 @@ def imagine(
         longer_side: an image larger than this is rendered smaller, to keep it quick; pixels.
     """
     used = observations.select(slice(model.views))
-    cameras = {IMAGINED: shrink(opposite_camera(used.camera, workspace), longer_side)}
+    camera = shrink(opposite_camera(used.camera, workspace), longer_side)
+    found = {IMAGINED: next(render_views(model.backbone, used, camera[None], workspace))}
     if T_world_grasp is not None:
-        cameras[FROM_GRASP] = grasp_camera(T_world_grasp.to(used.images), longer_side)
-    return {name: next(render_views(model.backbone, used, camera[None], workspace)) for name, camera in cameras.items()}
+        found |= imagine_from_grasp(model, observations, workspace, T_world_grasp, longer_side)
+    return found
+
+
+def imagine_from_grasp(
+    model: GraspValue, observations: Observations, workspace: Workspace, T_world_grasp: Tensor, size: int = 128
+) -> dict[str, RenderedView]:
+    """Renders as `imagine` does, but from the grasp `[4, 4]` alone; `size` pixels wide and high."""
+    used = observations.select(slice(model.views))
+    camera = grasp_camera(T_world_grasp.to(used.images), size)
+    return {FROM_GRASP: next(render_views(model.backbone, used, camera[None], workspace))}
 
 
 def imagined_panels(views: Mapping[str, RenderedView]) -> list[list[Panel]]:
