@@ -62,7 +62,7 @@ def optimize(
     Args:
         scene: a scene's folder, or the name of a shipped one, e.g. `demo`.
         model: a model's folder, a Hugging Face repository id, or the name of a shipped one.
-        schedule: how to search: `guided`, `resample`, `joint`, `prune`, `paper` (the paper's Algorithm 1), or
+        schedule: how to search: `guided`, `resample`, `alone`, `joint`, `prune`, `paper` (the paper's Algorithm 1), or
             `halving`; see docs/search.md.
         pose: the registered name of the pose parameterization to climb in.
         candidates: how many random poses are drawn; the schedule's own number if not given.

@@ -106,6 +106,9 @@ GUIDED = Strategy(
 """Candidates where the model sees something, so that few will do; then as `resample`, with less of everything."""
 RESAMPLE = Strategy("resample", candidates=2048, keep=128, rounds=ROUNDS, climb=CLIMB)
 """Resampling rounds around the best, then a short climb of both groups (measured in docs/results.md)."""
+ALONE = replace(RESAMPLE, name="alone", feasibility=None)
+"""As `resample`, but Ψ alone judges: all that can be done for a model that never learned to render, so that one that did
+can be compared with it."""
 JOINT_SEARCH = Strategy("joint", candidates=512, keep=None, climb=JOINT)
 """All climb, both groups at once, each at its own pace and until all have converged."""
 PRUNE = Strategy("prune", candidates=4096, keep=128, climb=JOINT)
@@ -116,7 +119,7 @@ HALVING_SEARCH = replace(PAPER_SEARCH, name="halving", climb=HALVING)
 """As `paper`, but who falls behind is left behind, and each ends at the best pose that it has seen."""
 
 STRATEGIES = {
-    strategy.name: strategy for strategy in (GUIDED, RESAMPLE, JOINT_SEARCH, PRUNE, PAPER_SEARCH, HALVING_SEARCH)
+    strategy.name: strategy for strategy in (GUIDED, RESAMPLE, ALONE, JOINT_SEARCH, PRUNE, PAPER_SEARCH, HALVING_SEARCH)
 }
 """By name; the first is the default."""
 DEFAULT_STRATEGY = GUIDED.name

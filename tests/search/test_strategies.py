@@ -146,6 +146,8 @@ def test_numbers_out_of_range_are_told(make: Callable[[], object], message: str)
 
 def test_without_density_a_guided_search_resamples_with_the_numbers_given() -> None:
     assert GUIDED.blind() == replace(RESAMPLE, feasibility=None)
+    # Under this name, a model that can render is searched so too.
+    assert find_strategy("alone") == replace(GUIDED.blind(), name="alone")
     changed = find_strategy(candidates=300, keep=20, max_tilt=30)
     expected = find_strategy("resample", candidates=300, keep=20, max_tilt=30)
     assert changed.blind() == replace(expected, feasibility=None)
