@@ -107,8 +107,8 @@ GUIDED = Strategy(
 RESAMPLE = Strategy("resample", candidates=2048, keep=128, rounds=ROUNDS, climb=CLIMB)
 """Resampling rounds around the best, then a short climb of both groups (measured in docs/results.md)."""
 ALONE = replace(RESAMPLE, name="alone", feasibility=None)
-"""As `resample`, but Ψ alone judges: all that can be done for a model that never learned to render, so that one that did
-can be compared with it."""
+"""As `resample`, but Ψ alone judges: all that can be done for a model that never learned to render. One that did can be
+compared with it so."""
 JOINT_SEARCH = Strategy("joint", candidates=512, keep=None, climb=JOINT)
 """All climb, both groups at once, each at its own pace and until all have converged."""
 PRUNE = Strategy("prune", candidates=4096, keep=128, climb=JOINT)
