@@ -61,7 +61,7 @@ def main(argv: list[str] | None = None) -> int:
         if debug or line is None:
             raise
         print(f"nerfgrasp: error: {line}", file=sys.stderr)
-        return getattr(error, "status", UserError.status)
+        return error.status if isinstance(error, UserError) else UserError.status
 
 
 def _run(args: list[str]) -> int:

@@ -96,6 +96,8 @@ def optimize(
     destination = Path(f"{found.name}-grasp") if out is None else Path(out)
     with publishing(destination) as results:
         method = _load_method(model, folder, device, images)
+        if least_value is not None:
+            method.check_least(least_value)
         asked = _Search(found, model, method, method.resolve(strategy), pose, seed, count, attempt, least_value)
         if asked.strategy.name != schedule:
             print(f"the model never learned to render, so {schedule} cannot guide its search", flush=True)

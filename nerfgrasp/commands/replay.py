@@ -22,7 +22,7 @@ from nerfgrasp.sim.attempt import Outcome
 from nerfgrasp.sim.rendering import render_scene
 from nerfgrasp.sim.tasks import find_task, workspace
 from nerfgrasp.viz.contact_sheet import contact_sheet, stack
-from nerfgrasp.viz.figures import Panel, picture
+from nerfgrasp.viz.figures import Panel, picture, to_image
 from nerfgrasp.viz.film_strip import close_up, film_strip
 from nerfgrasp.viz.imagination import grasp_camera, imagine_from_grasp, imagined_panels
 
@@ -89,11 +89,10 @@ def heading(row: Row) -> str:
 
 
 def attempt_picture(shown: Replay, model: GraspValue | None) -> Image.Image:
-    """Draws one attempt: the images with the grasp, what the model imagines from it, and its stages."""
+    """Draws one attempt: the images with the grasp, the scene and what the model imagines from it, and its stages."""
     row, seen = shown.row, shown.observations
     if row.grasp is None:
-        images = [Image.fromarray((255 * image).byte().numpy()) for image in seen.images.permute(0, 2, 3, 1)]
-        return stack([images], {0: heading(row)})
+        return stack([[to_image(image) for image in seen.images.permute(0, 2, 3, 1)]], {0: heading(row)})
     T = recorded_pose(row.grasp).float()
     from_grasp = [_true_panel(shown.truth, grasp_camera(T))]
     if model is not None:

@@ -17,7 +17,7 @@ from nerfgrasp.files import replacing
 
 FORMAT_VERSION = 1
 _OPTIONAL = ("schedule", "search", "device", "pose")
-"""What only those lines hold that it was asked or known for."""
+"""Fields that a line leaves out where they are None."""
 COMPRESSED = ".gz"
 Line = TypeVar("Line", "Row", "Times")
 

@@ -122,6 +122,8 @@ class GraspFinder:
         """
         if count < 1:
             raise UserError(f"count is {count}: it must be at least 1")
+        if least_value is not None:
+            self.method.check_least(least_value)
         strategy = find_strategy(schedule) if isinstance(schedule, str) else schedule
         generator = torch.Generator().manual_seed(seed)
         found, _ = self.method.search(scene, generator=generator, pose=pose, strategy=strategy)

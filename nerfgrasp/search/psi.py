@@ -207,6 +207,16 @@ class Psi:
         """Returns the grasps that are worth at least `value`, in their order; there may be none.
 
         Raises:
+            UserError: as for `check_least`.
+        """
+        self.check_least(value)
+        kept = grasps.value >= value
+        return Grasps(grasps.T_world_grasp[kept], grasps.value[kept])
+
+    def check_least(self, value: float) -> None:
+        """Checks that grasps may be asked to be worth at least `value`, a logit; so before any work.
+
+        Raises:
             UserError: `value` is not finite, or the model was trained by a softmax over a scene's poses: its values may
                 be shifted in every scene.
         """
@@ -217,8 +227,6 @@ class Psi:
                 f"least_value is {value:g}: the model's values compare within one scene only, and reject none; those "
                 "of a model trained with the loss 'binary' do"
             )
-        kept = grasps.value >= value
-        return Grasps(grasps.T_world_grasp[kept], grasps.value[kept])
 
     def weigh(self, grasps: Grasps, scene: ObservedScene, feasibility: Feasibility) -> Grasps:
         """Returns grasps by value and feasibility together, best first.

@@ -1,4 +1,4 @@
-"""What tests of commands share: ones that are killed or refused, and tiny trainings."""
+"""What tests of commands share: ones that are killed or refused, tiny trainings, a model that has learned nothing."""
 
 import json
 import os
@@ -19,6 +19,8 @@ import torch
 import yaml
 
 from nerfgrasp import cli
+from nerfgrasp.models.folder import save_model
+from nerfgrasp.models.grasp_value import GraspValue, GraspValueConfig
 
 KILLED_WHILE_WRITING = """
 import os, signal, {module} as module
@@ -31,6 +33,15 @@ def dying(path, data):
     write_json(path, data)
 module.write_json = dying
 """
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory, tiny_network: Any) -> Path:
+    """A grasp value that has learned nothing."""
+    torch.manual_seed(0)
+    folder = tmp_path_factory.mktemp("psi") / "model"
+    save_model(folder, GraspValue(GraspValueConfig(tiny_network())))
+    return folder
 
 
 @pytest.fixture

@@ -6,14 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 from joblib.externals.loky import get_reusable_executor
 
 from nerfgrasp import cli
 from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.results import read_results, read_times, times_path
-from nerfgrasp.models.folder import load_model, save_model, weights_hash
-from nerfgrasp.models.grasp_value import GraspValue, GraspValueConfig
+from nerfgrasp.models.folder import load_model, weights_hash
 from nerfgrasp.search import strategies
 from nerfgrasp.search.strategies import GUIDED, STRATEGIES
 
@@ -54,15 +52,6 @@ def _workers_of_these_tests(tmp_path_factory: pytest.TempPathFactory) -> Iterato
         get_reusable_executor().shutdown(kill_workers=True)
         yield
         get_reusable_executor().shutdown(kill_workers=True)
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory, tiny_network: Any) -> Path:
-    """A grasp value that has learned nothing."""
-    torch.manual_seed(0)
-    folder = tmp_path_factory.mktemp("psi") / "model"
-    save_model(folder, GraspValue(GraspValueConfig(tiny_network())))
-    return folder
 
 
 @pytest.fixture(scope="module", params=["simple", "clutter", "novel", "psi"])

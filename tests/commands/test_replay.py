@@ -4,12 +4,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 from PIL import Image
 
 from nerfgrasp import cli
-from nerfgrasp.models.folder import save_model
-from nerfgrasp.models.grasp_value import GraspValue, GraspValueConfig
 from nerfgrasp.search.strategies import STRATEGIES
 
 pytest.importorskip("pybullet")
@@ -17,15 +14,6 @@ pytest.importorskip("pybullet")
 from nerfgrasp.commands.evaluate import evaluate
 from nerfgrasp.commands.replay import heading
 from nerfgrasp.evaluation.results import Row, read_results, write_results
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory, tiny_network: Any) -> Path:
-    """A grasp value that has learned nothing."""
-    torch.manual_seed(0)
-    folder = tmp_path_factory.mktemp("psi") / "model"
-    save_model(folder, GraspValue(GraspValueConfig(tiny_network())))
-    return folder
 
 
 @pytest.fixture(scope="module")
