@@ -60,7 +60,7 @@ class Experiment:
     folder: Path
     """Where everything is made: `data`, `runs`, `results`, the table."""
     methods: tuple[str, ...]
-    """Names out of `LEARNED`, registered methods, or `NAME=MODEL`."""
+    """Names out of `LEARNED`, registered methods, `NAME=MODEL`, or `NAME=MODEL@SCHEDULE`."""
     scale: Scale
     """Of the configs."""
     evaluate_only: bool
@@ -99,7 +99,8 @@ def table_stages(experiment: Experiment) -> list[Stage]:
     stages: list[Stage] = []
     for row in rows:
         if row.model is not None:
-            stages += _trials(experiment, row.name if row.name in LEARNED else row.label, row.label, row.model)
+            key = row.name if row.name in LEARNED else row.label
+            stages += _trials(experiment, key, row.label, row.model, row.schedule)
         else:
             made = {stage.name for stage in stages}
             stages += [stage for stage in _training(experiment, row.name, LEARNED[row.name]) if stage.name not in made]
@@ -121,6 +122,8 @@ class _Row:
     """What it is called in the table."""
     model: str | None
     """What `evaluate` takes; None if it is trained first."""
+    schedule: str | None = None
+    """How it is to search; None for its own way."""
 
 
 def _row(experiment: Experiment, name: str) -> _Row:
@@ -135,28 +138,31 @@ def _check_rows(rows: list[_Row]) -> None:
     for one, other in combinations(rows, 2):
         if one.label.lower() == other.label.lower():
             raise UserError(f"methods: {one.name} and {other.name} are both called {one.label}: give one another name")
-    known: dict[tuple[str, str | None], str] = {}
+    known: dict[tuple[str | None, ...], str] = {}
     for row in rows:
         if row.model is not None:
             method, folder = find_method(row.model)
-            identity = method, method_hash(load_method(method, folder))
+            identity = method, method_hash(load_method(method, folder, row.schedule)), row.schedule
             if identity in known:
                 raise UserError(f"methods: {known[identity]} and {row.name} are the same model: give one of them")
             known[identity] = row.name
 
 
-def _other(name: str) -> tuple[str, str]:
-    """Returns the label and the name for `evaluate` of a method that the table does not train."""
+def _other(name: str) -> tuple[str, str, str | None]:
+    """Returns label, name for `evaluate` and schedule, if one is given, of a method that the table does not train."""
     label, separator, model = name.partition("=")
     if separator:
         if re.fullmatch(r"[\w.+-]+", label) is None:
             raise UserError(f"methods: {name}: a name is of letters, digits and any of . + - _")
+        schedule = None
+        if not Path(model).is_dir() and "@" in model:
+            model, _, schedule = model.rpartition("@")
         find_method(model)
-        return label, str(Path(model).resolve()) if Path(model).is_dir() else model
+        return label, str(Path(model).resolve()) if Path(model).is_dir() else model, schedule
     registered = registry.names(registry.BASELINES)
     if name not in registered:
         raise unknown_name("method", name, [*LEARNED, *registered])
-    return name, name
+    return name, name, None
 
 
 def _training(experiment: Experiment, name: str, learned: Learned) -> Iterator[Stage]:
@@ -171,15 +177,14 @@ def _training(experiment: Experiment, name: str, learned: Learned) -> Iterator[S
     yield from probes
     head = _fit(experiment, f"{name}-head", learned.head, needs=needs, rivals=probes)
     yield head
-    yield from _trials(experiment, name, learned.label, f"{head.run}/model", head.name)
+    yield from _trials(experiment, name, learned.label, f"{head.run}/model", None, head.name)
     for seed in range(1, experiment.seeds if learned.repeated else 1):
         run = f"{head.run}-seed{seed}"
         options = ("--model.init_args.seed", str(seed), "--data.init_args.seed", str(seed))
         yield _fit(experiment, f"{name}-head-seed{seed}", learned.head, run, options, needs)
         one = ("simple", experiment.scenes)
-        yield _trial(
-            experiment, one, f"{name}-seed{seed}", f"{learned.label}#{seed}", f"{run}/model", f"{name}-head-seed{seed}"
-        )
+        key, label = f"{name}-seed{seed}", f"{learned.label}#{seed}"
+        yield _trial(experiment, one, key, label, f"{run}/model", None, f"{name}-head-seed{seed}")
 
 
 def _probes(experiment: Experiment, name: str, learned: Learned) -> Iterator[Stage]:
@@ -233,18 +238,28 @@ def _data(experiment: Experiment, config: str) -> list[Stage]:
     return stages
 
 
-def _trials(experiment: Experiment, key: str, label: str, model: str, *needs: str) -> list[Stage]:
+def _trials(experiment: Experiment, key: str, label: str, model: str, schedule: str | None, *needs: str) -> list[Stage]:
     counts = {
         "simple": experiment.scenes,
         "clutter": experiment.clutter_scenes,
         "novel": experiment.novel_scenes,
     }
-    return [_trial(experiment, one, key, label, model, *needs) for one in counts.items() if one[1] > 0]
+    return [_trial(experiment, one, key, label, model, schedule, *needs) for one in counts.items() if one[1] > 0]
 
 
-def _trial(experiment: Experiment, scenes: tuple[str, int], key: str, label: str, model: str, *needs: str) -> Stage:
+def _trial(
+    experiment: Experiment,
+    scenes: tuple[str, int],
+    key: str,
+    label: str,
+    model: str,
+    schedule: str | None,
+    *needs: str,
+) -> Stage:
     task, count = scenes
     options = {"task": task, "method": model, "scenes": count, "seed": SCENE_SEED, "size": SIZES[experiment.scale]}
+    if schedule is not None:
+        options["schedule"] = schedule
     if task == "novel" and experiment.objects is not None:
         options["objects"] = str(experiment.objects)
     options["out"] = f"results/{task}-{key}.jsonl"

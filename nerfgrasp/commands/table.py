@@ -23,7 +23,7 @@ def main(args: list[str]) -> None:
     """
     parser = Parser(prog="nerfgrasp table", description="Makes the paper's table; see docs/table.md.")
     parser.add_argument("--config", action="config", help="a file of these options")
-    what = f"rows of the table: {', '.join(LEARNED)}, registered methods, or NAME=MODEL"
+    what = f"rows of the table: {', '.join(LEARNED)}, registered methods, NAME=MODEL, or NAME=MODEL@SCHEDULE"
     parser.add_argument("--methods", nargs="+", default=list(LEARNED), help=what)
     parser.add_function_arguments(table, skip={"methods"})
     chosen = parser.parse_args(flags_set(table, args)).as_dict()

@@ -123,6 +123,20 @@ def test_what_the_report_would_refuse_is_refused_before_anything_starts(
         stages(*methods, evaluate_only=evaluate_only)
 
 
+def test_a_row_may_search_by_a_schedule_of_its_own(stages: Callable[..., dict[str, Stage]]) -> None:
+    found = stages("mv3", "MV3-alone=mv3-laptop@alone", evaluate_only=True)
+    assert "--schedule" not in found["simple-mv3"].command
+    command = found["simple-MV3-alone"].command
+    assert command[command.index("--method") + 1] == "mv3-laptop"
+    assert command[command.index("--schedule") + 1] == "alone"
+    with pytest.raises(UserError, match="unknown schedule 'alon': did you mean 'alone'"):
+        stages("a=mv3-laptop@alon")
+    with pytest.raises(UserError, match="method 'random' has no search schedules"):
+        stages("a=random@alone")
+    with pytest.raises(UserError, match="are the same model"):
+        stages("a=mv3-laptop@alone", "b=mv3-laptop@alone")
+
+
 def test_a_copy_of_a_model_is_the_same_model(stages: Callable[..., dict[str, Stage]], tmp_path: Path) -> None:
     shutil.copytree(find_model("mv1-laptop"), tmp_path / "copy")
     with pytest.raises(UserError, match="are the same model"):
