@@ -155,6 +155,11 @@ class Feasibility:
         return density * counts * (length / samples)[:, None]
 
 
+ONE_VIEW = Feasibility(free=1.5, gap=5.0, slant=2.75)
+"""For a model that sees one view at a time and smears an object along its line of sight: half the weights, chosen in
+96 tuning scenes (docs/results.md)."""
+
+
 def opacity(optical_depth: Tensor) -> Tensor:
     """Returns the opacity `[...]`, 1 − exp(−Σ τ), of lines whose pieces have optical depths τ `[..., S]`."""
     return -torch.expm1(-optical_depth.sum(dim=-1))

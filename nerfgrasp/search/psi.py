@@ -123,8 +123,13 @@ class Psi:
         return self._with(pose=name)
 
     def resolve(self, strategy: Strategy) -> Strategy:
-        """Returns what is run where `strategy` is asked for: a model that cannot render is searched without density."""
-        return strategy if self.model.config.renders else strategy.blind()
+        """Returns what is run where `strategy` is asked for: how far the model's density is believed, it decides.
+
+        One that cannot render is searched without it; one that sees one view at a time counts half.
+        """
+        if not self.model.config.renders:
+            return strategy.blind()
+        return strategy.one_view() if self.model.views == 1 else strategy
 
     def observe(self, observations: Observations, workspace: Workspace) -> ObservedScene:
         """Encodes a scene's images once, for any number of searches.

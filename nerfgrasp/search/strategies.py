@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 from nerfgrasp.errors import UserError, unknown_name
-from nerfgrasp.search.feasibility import Feasibility
+from nerfgrasp.search.feasibility import ONE_VIEW, Feasibility
 from nerfgrasp.search.limits import Limits
 from nerfgrasp.search.ranges import check_number
 from nerfgrasp.search.schedule import (
@@ -79,6 +79,10 @@ class Strategy:
             values = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in ("name", "spacing")}
             base = replace(RESAMPLE, **{name: v for name, v in values.items() if v != getattr(GUIDED, name)})
         return replace(base, spacing=None, feasibility=None)
+
+    def one_view(self) -> "Strategy":
+        """Returns a search for a model that sees one view at a time: density counts half, if nobody gave weights."""
+        return replace(self, feasibility=ONE_VIEW) if self.feasibility == Feasibility() else self
 
     @property
     def identity(self) -> str:

@@ -264,6 +264,15 @@ def test_the_density_of_a_model_that_does_not_render_is_not_asked(workspace: Wor
     assert method.resolve(GUIDED) == method.with_schedule("guided").strategy == replace(RESAMPLE, feasibility=None)
 
 
+def test_a_model_that_sees_one_view_is_believed_less_of_density() -> None:
+    model = FakeValue()
+    model.views = 1
+    method = finds(model, GUIDED)
+    assert method.strategy == GUIDED.one_view()
+    assert method.resolve(method.strategy) == method.with_schedule("guided").strategy == method.strategy
+    assert finds(FakeValue(), GUIDED).strategy == GUIDED
+
+
 def test_a_search_trains_nothing(method: Psi, workspace: Workspace) -> None:
     method.propose(observe(3), workspace, generator=seeded())
     assert all(not parameter.requires_grad for parameter in method.model.parameters())

@@ -11,6 +11,7 @@ from nerfgrasp.errors import UserError
 from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
 from nerfgrasp.scenes.scene import Workspace
 from nerfgrasp.search import search, strategies
+from nerfgrasp.search.feasibility import Feasibility
 from nerfgrasp.search.schedule import PAPER, Phase, Plateau, Round, Schedule
 from nerfgrasp.search.strategies import DEFAULT_STRATEGY, GUIDED, RESAMPLE, STRATEGIES, find_strategy
 
@@ -156,12 +157,24 @@ def test_without_density_a_guided_search_resamples_with_the_numbers_given() -> N
     assert STRATEGIES["prune"].blind() == replace(STRATEGIES["prune"], feasibility=None)
 
 
+def test_what_one_view_tells_of_density_counts_half_if_nobody_says_how_much() -> None:
+    assert GUIDED.feasibility is not None
+    halved = GUIDED.one_view()
+    assert halved.feasibility == Feasibility(free=1.5, gap=5.0, slant=2.75)
+    assert replace(halved, feasibility=GUIDED.feasibility) == GUIDED
+    assert halved.one_view() == halved
+    given = replace(GUIDED, feasibility=replace(GUIDED.feasibility, slant=5.0))
+    assert given.one_view() == given
+    assert STRATEGIES["paper"].one_view() == STRATEGIES["paper"]
+
+
 def test_every_number_of_a_search_changes_its_identity(monkeypatch: pytest.MonkeyPatch) -> None:
     assert GUIDED.limits is not None
     assert GUIDED.feasibility is not None
     searches = [
         *STRATEGIES.values(),
         GUIDED.blind(),
+        GUIDED.one_view(),
         find_strategy(candidates=300),
         replace(GUIDED, limits=replace(GUIDED.limits, clearance=0.01)),
         replace(GUIDED, feasibility=replace(GUIDED.feasibility, slant=5.0)),
