@@ -68,10 +68,10 @@ def evaluate(
     out = Path(out)
     if out.is_dir():
         raise UserError(f"cannot write {out}: it is a folder")
-    loaded = load_method(name, folder, schedule, device, pose)
+    asked = {"schedule": schedule, "device": device, "pose": pose}
+    loaded = load_method(name, folder, **asked)
     catalogue = open_catalogue(objects).sha256 if found.catalogue else None
     hashes = {"model": method_hash(loaded), "catalogue": catalogue, "search": method_search(loaded)}
-    asked = {"schedule": schedule, "device": device, "pose": pose}
     trials = Trials(found, seed, name, folder, size=size, **asked, **hashes)
     if out.exists():
         tally = Tally(_finished(trials, out, scenes))

@@ -142,7 +142,7 @@ def _check_rows(rows: list[_Row]) -> None:
     for row in rows:
         if row.model is not None:
             method, folder = find_method(row.model)
-            identity = method, method_hash(load_method(method, folder, row.schedule)), row.schedule
+            identity = method, method_hash(load_method(method, folder, schedule=row.schedule)), row.schedule
             if identity in known:
                 raise UserError(f"methods: {known[identity]} and {row.name} are the same model: give one of them")
             known[identity] = row.name

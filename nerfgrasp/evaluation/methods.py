@@ -85,7 +85,7 @@ def method_of(folder: Path, name: str) -> str:
 
 @lru_cache(maxsize=1)
 def load_method(
-    name: str, folder: str | None, schedule: str | None = None, device: str | None = None, pose: str | None = None
+    name: str, folder: str | None, *, schedule: str | None = None, device: str | None = None, pose: str | None = None
 ) -> Method:
     """Returns a method, loaded once a process.
 

@@ -92,7 +92,7 @@ def run_scene(trials: Trials, scene: int) -> list[tuple[Row, Times]]:
     Raises:
         UserError: the method cannot be loaded, fails, or proposes what is no pose.
     """
-    method = load_method(trials.method, trials.folder, trials.schedule, trials.device, trials.pose)
+    method = load_method(trials.method, trials.folder, schedule=trials.schedule, device=trials.device, pose=trials.pose)
     truth, attempts = trials.task.draw(trials.seed, scene), []
     failed: list[Tensor] = []
     for number in range(trials.task.attempts):

@@ -114,24 +114,24 @@ def test_a_faulty_loader_is_named(folder: str | None) -> None:
 
 
 def test_a_schedule_is_for_methods_that_have_some() -> None:
-    assert load_method("scheduled", "there", "paper").schedule == "paper"  # type: ignore[attr-defined]
+    assert load_method("scheduled", "there", schedule="paper").schedule == "paper"  # type: ignore[attr-defined]
     assert load_method("scheduled", "there").schedule == "own"  # type: ignore[attr-defined]
     with pytest.raises(UserError, match="method 'trained' has no search schedules: leave schedule 'paper' out"):
-        load_method("trained", "there", "paper")
+        load_method("trained", "there", schedule="paper")
 
 
 def test_a_pose_is_for_methods_that_search_in_one() -> None:
-    method: Any = load_method("scheduled", "there", "paper", None, "rotvec")
+    method: Any = load_method("scheduled", "there", schedule="paper", pose="rotvec")
     assert (method.schedule, method.pose) == ("paper", "rotvec")
     with pytest.raises(UserError, match="'trained' searches in no pose parameterization: leave pose 'rotvec' out"):
         load_method("trained", "there", pose="rotvec")
 
 
 def test_a_device_is_for_methods_that_take_one() -> None:
-    assert load_method("placed", None, None, "cpu:0").device == "cpu:0"  # type: ignore[attr-defined]
+    assert load_method("placed", None, device="cpu:0").device == "cpu:0"  # type: ignore[attr-defined]
     assert load_method("placed", None).device == "cpu"  # type: ignore[attr-defined]
     with pytest.raises(UserError, match="method 'trained' takes no device: leave device 'cpu:0' out"):
-        load_method("trained", "there", None, "cpu:0")
+        load_method("trained", "there", device="cpu:0")
 
 
 def test_the_hash_is_that_of_the_weights() -> None:

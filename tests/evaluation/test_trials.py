@@ -44,7 +44,7 @@ def script(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Scripted]:
 
     def make(propose: Callable[..., Any], needs: set[str] = frozenset()) -> Scripted:  # type: ignore[assignment]
         method = Scripted(needs, propose)
-        monkeypatch.setattr(trials, "load_method", lambda *_: method)
+        monkeypatch.setattr(trials, "load_method", lambda *_, **__: method)
         return method
 
     return make
