@@ -13,7 +13,7 @@ from nerfgrasp.scenes.scene import Workspace
 from nerfgrasp.search import search, strategies
 from nerfgrasp.search.feasibility import Feasibility
 from nerfgrasp.search.schedule import PAPER, Phase, Plateau, Round, Schedule
-from nerfgrasp.search.strategies import DEFAULT_STRATEGY, GUIDED, RESAMPLE, STRATEGIES, find_strategy
+from nerfgrasp.search.strategies import DEFAULT_STRATEGY, GUIDED, STRATEGIES, find_strategy
 
 PEAK = torch.tensor([0.1, 0.05, 0.08])
 
@@ -146,12 +146,11 @@ def test_numbers_out_of_range_are_told(make: Callable[[], object], message: str)
 
 
 def test_without_density_a_guided_search_resamples_with_the_numbers_given() -> None:
-    assert GUIDED.blind() == replace(RESAMPLE, feasibility=None)
-    # Under this name, a model that can render is searched so too.
-    assert find_strategy("alone") == replace(GUIDED.blind(), name="alone")
+    # By its name, a model that can render is searched so too.
+    assert GUIDED.blind() == find_strategy("alone")
+    assert find_strategy("alone").feasibility is None
     changed = find_strategy(candidates=300, keep=20, max_tilt=30)
-    expected = find_strategy("resample", candidates=300, keep=20, max_tilt=30)
-    assert changed.blind() == replace(expected, feasibility=None)
+    assert changed.blind() == find_strategy("alone", candidates=300, keep=20, max_tilt=30)
     assert changed.blind().blind() == changed.blind()
     assert STRATEGIES["paper"].blind() == STRATEGIES["paper"]
     assert STRATEGIES["prune"].blind() == replace(STRATEGIES["prune"], feasibility=None)
@@ -173,7 +172,6 @@ def test_every_number_of_a_search_changes_its_identity(monkeypatch: pytest.Monke
     assert GUIDED.feasibility is not None
     searches = [
         *STRATEGIES.values(),
-        GUIDED.blind(),
         GUIDED.one_view(),
         find_strategy(candidates=300),
         replace(GUIDED, limits=replace(GUIDED.limits, clearance=0.01)),
