@@ -100,7 +100,7 @@ def table_stages(experiment: Experiment) -> list[Stage]:
     for row in rows:
         if row.model is not None:
             key = row.name if row.name in LEARNED else row.label
-            stages += _trials(experiment, key, row.label, row.model, row.schedule)
+            stages += _trials(experiment, key, row.label, row.model, schedule=row.schedule)
         else:
             made = {stage.name for stage in stages}
             stages += [stage for stage in _training(experiment, row.name, LEARNED[row.name]) if stage.name not in made]
@@ -177,14 +177,14 @@ def _training(experiment: Experiment, name: str, learned: Learned) -> Iterator[S
     yield from probes
     head = _fit(experiment, f"{name}-head", learned.head, needs=needs, rivals=probes)
     yield head
-    yield from _trials(experiment, name, learned.label, f"{head.run}/model", None, head.name)
+    yield from _trials(experiment, name, learned.label, f"{head.run}/model", head.name)
     for seed in range(1, experiment.seeds if learned.repeated else 1):
         run = f"{head.run}-seed{seed}"
         options = ("--model.init_args.seed", str(seed), "--data.init_args.seed", str(seed))
         yield _fit(experiment, f"{name}-head-seed{seed}", learned.head, run, options, needs)
         one = ("simple", experiment.scenes)
         key, label = f"{name}-seed{seed}", f"{learned.label}#{seed}"
-        yield _trial(experiment, one, key, label, f"{run}/model", None, f"{name}-head-seed{seed}")
+        yield _trial(experiment, one, key, label, f"{run}/model", f"{name}-head-seed{seed}")
 
 
 def _probes(experiment: Experiment, name: str, learned: Learned) -> Iterator[Stage]:
@@ -238,13 +238,16 @@ def _data(experiment: Experiment, config: str) -> list[Stage]:
     return stages
 
 
-def _trials(experiment: Experiment, key: str, label: str, model: str, schedule: str | None, *needs: str) -> list[Stage]:
+def _trials(
+    experiment: Experiment, key: str, label: str, model: str, *needs: str, schedule: str | None = None
+) -> list[Stage]:
     counts = {
         "simple": experiment.scenes,
         "clutter": experiment.clutter_scenes,
         "novel": experiment.novel_scenes,
     }
-    return [_trial(experiment, one, key, label, model, schedule, *needs) for one in counts.items() if one[1] > 0]
+    tasks = [task for task in counts.items() if task[1] > 0]
+    return [_trial(experiment, task, key, label, model, *needs, schedule=schedule) for task in tasks]
 
 
 def _trial(
@@ -253,8 +256,8 @@ def _trial(
     key: str,
     label: str,
     model: str,
-    schedule: str | None,
     *needs: str,
+    schedule: str | None = None,
 ) -> Stage:
     task, count = scenes
     options = {"task": task, "method": model, "scenes": count, "seed": SCENE_SEED, "size": SIZES[experiment.scale]}
