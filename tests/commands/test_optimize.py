@@ -109,10 +109,10 @@ def test_what_a_model_that_never_learned_to_render_imagines_is_left_out(
         assert picture.height * 2 < picture.width  # the input views' row alone
     # Nor can it be searched by its density: what is printed and recorded is the search that was run.
     data = json.loads((tmp_path / "out" / "grasps.json").read_text())
-    assert (data["schedule"], data["candidates"], data["keep"]) == ("resample", 12, 4)
+    assert (data["schedule"], data["candidates"], data["keep"]) == ("alone", 12, 4)
     printed = capsys.readouterr().out
     assert "never learned to render, so guided cannot guide its search" in printed
-    assert "searching desk: resample, 12 candidates, the best 4 climb" in printed
+    assert "searching desk: alone, 12 candidates, the best 4 climb" in printed
 
 
 def test_only_a_value_that_is_anchored_rejects_a_scene(
