@@ -31,7 +31,6 @@ from nerfgrasp.evaluation.tables import format_tables
 from nerfgrasp.evaluation.trials import proposal_generator
 from nerfgrasp.models.folder import DEFAULT_MODEL
 from nerfgrasp.search import PAPER, Phase, Schedule, ascend, best_first, distinct
-from nerfgrasp.search.feasibility import Feasibility
 from nerfgrasp.search.limits import Limits
 from nerfgrasp.search.occupancy import occupancy, occupied_candidates
 from nerfgrasp.search.parameterization import load_pose
@@ -186,7 +185,9 @@ def climb(seen: Seen, start: Tensor, case: Case, attempts: bool) -> Row:
     row = {**comparison.climb_measures(trace), "evaluations": spent.evaluations}
     if not attempts:
         return row
-    return row | comparison.attempt_measures(seen.truth, seen.psi.weigh(grasps, seen.scene, Feasibility()))
+    how = seen.psi.resolve(GUIDED).feasibility
+    weighed = grasps if how is None else seen.psi.weigh(grasps, seen.scene, how)
+    return row | comparison.attempt_measures(seen.truth, weighed)
 
 
 if __name__ == "__main__":

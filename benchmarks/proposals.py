@@ -9,13 +9,12 @@ from torch import Tensor
 
 from nerfgrasp.evaluation.trials import pose_errors, proposal_generator
 from nerfgrasp.scenes.scene import Grasps, Truth
-from nerfgrasp.search.feasibility import Feasibility
 from nerfgrasp.search.psi import ObservedScene, Psi
 from nerfgrasp.search.strategies import GUIDED
 from nerfgrasp.sim.attempt import Outcome, attempt_grasp
 from nerfgrasp.sim.tasks import workspace
 
-ALONE = replace(GUIDED, feasibility=None)
+UNWEIGHED = replace(GUIDED, feasibility=None)
 """The default search, judged by Ψ alone."""
 NO_ERRORS = {"distance_mm": None, "angle_deg": None}
 """Where there is no grasp, or no valid one to hold it against."""
@@ -47,11 +46,12 @@ def observed(method: Psi, truth: Truth) -> ObservedScene:
 def propose(method: Psi, scene: ObservedScene, truth: Truth) -> Proposals:
     """Searches a scene once, with the draws of an evaluation's first attempt."""
     generator = proposal_generator(truth.seed, truth.index, 0)
-    alone, _ = method.search(scene, generator=generator, strategy=ALONE)
-    if not method.model.config.renders:
+    alone, _ = method.search(scene, generator=generator, strategy=UNWEIGHED)
+    how = method.resolve(GUIDED)
+    if how.feasibility is None:
         return Proposals(alone, alone)
-    weighed = method.weigh(alone, scene, Feasibility())
-    return Proposals(alone, method.polish(weighed, scene, GUIDED, generator))
+    weighed = method.weigh(alone, scene, how.feasibility)
+    return Proposals(alone, method.polish(weighed, scene, how, generator))
 
 
 def succeeds(truth: Truth, T_world_grasp: Tensor) -> bool:

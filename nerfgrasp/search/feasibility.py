@@ -155,7 +155,7 @@ class Feasibility:
         return density * counts * (length / samples)[:, None]
 
 
-ONE_VIEW = Feasibility(free=1.5, gap=5.0, slant=2.75)
+ONE_VIEW = Feasibility(free=Feasibility.free / 2, gap=Feasibility.gap / 2, slant=Feasibility.slant / 2)
 """For a model that sees one view at a time and smears an object along its line of sight: half the weights, chosen in
 96 tuning scenes (docs/results.md)."""
 

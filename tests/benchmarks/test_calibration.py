@@ -79,7 +79,9 @@ def test_one_half_fits_and_the_other_is_measured() -> None:
 
 
 def test_a_scene_is_tried(tmp_path: Path, tiny_network: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(proposals, "ALONE", replace(proposals.ALONE, candidates=8, keep=2, spacing=None, rounds=()))
+    monkeypatch.setattr(
+        proposals, "UNWEIGHED", replace(proposals.UNWEIGHED, candidates=8, keep=2, spacing=None, rounds=())
+    )
     torch.manual_seed(0)
     save_model(tmp_path / "model", GraspValue(GraspValueConfig(backbone=tiny_network(image_size=32))))
     name = str(tmp_path / "model")
