@@ -4,7 +4,7 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal
@@ -98,12 +98,11 @@ def table_stages(experiment: Experiment) -> list[Stage]:
     _check_rows(rows)
     stages: list[Stage] = []
     for row in rows:
-        if row.model is not None:
-            key = row.name if row.name in LEARNED else row.label
-            stages += _trials(experiment, key, row.label, row.model, schedule=row.schedule)
-        else:
+        if row.model is None:
             made = {stage.name for stage in stages}
-            stages += [stage for stage in _training(experiment, row.name, LEARNED[row.name]) if stage.name not in made]
+            stages += [stage for stage in _training(experiment, row, LEARNED[row.name]) if stage.name not in made]
+        else:
+            stages += _trials(experiment, row)
     # Files are named by them, and on some disks a name is the same in capitals.
     names = [stage.name.lower() for stage in stages]
     twice = next((name for name in names if names.count(name) > 1), None)
@@ -114,13 +113,15 @@ def table_stages(experiment: Experiment) -> list[Stage]:
 
 @dataclass(frozen=True)
 class _Row:
-    """One of the methods asked for."""
+    """One of the methods asked for, or a training of it with another seed."""
 
     name: str
     """As it was asked for."""
+    key: str
+    """What its stages and files are called."""
     label: str
     """What it is called in the table."""
-    model: str | None
+    model: str | None = None
     """What `evaluate` takes; None if it is trained first."""
     schedule: str | None = None
     """How it is to search; None for its own way."""
@@ -129,8 +130,8 @@ class _Row:
 def _row(experiment: Experiment, name: str) -> _Row:
     learned = LEARNED.get(name)
     if learned is None:
-        return _Row(name, *_other(name))
-    return _Row(name, learned.label, shipped_name(name, experiment.scale) if experiment.evaluate_only else None)
+        return _other(name)
+    return _Row(name, name, learned.label, shipped_name(name, experiment.scale) if experiment.evaluate_only else None)
 
 
 def _check_rows(rows: list[_Row]) -> None:
@@ -148,8 +149,8 @@ def _check_rows(rows: list[_Row]) -> None:
             known[identity] = row.name
 
 
-def _other(name: str) -> tuple[str, str, str | None]:
-    """Returns label, name for `evaluate` and schedule, if one is given, of a method that the table does not train."""
+def _other(name: str) -> _Row:
+    """Returns the row of a method that the table does not train."""
     label, separator, model = name.partition("=")
     if separator:
         if re.fullmatch(r"[\w.+-]+", label) is None:
@@ -158,14 +159,15 @@ def _other(name: str) -> tuple[str, str, str | None]:
         if not Path(model).is_dir() and "@" in model:
             model, _, schedule = model.rpartition("@")
         find_method(model)
-        return label, str(Path(model).resolve()) if Path(model).is_dir() else model, schedule
+        return _Row(name, label, label, str(Path(model).resolve()) if Path(model).is_dir() else model, schedule)
     registered = registry.names(registry.BASELINES)
     if name not in registered:
         raise unknown_name("method", name, [*LEARNED, *registered])
-    return name, name, None
+    return _Row(name, name, name, name)
 
 
-def _training(experiment: Experiment, name: str, learned: Learned) -> Iterator[Stage]:
+def _training(experiment: Experiment, row: _Row, learned: Learned) -> Iterator[Stage]:
+    name = row.key
     needs: tuple[str, ...] = ()
     if learned.backbone is not None:
         backbone = _fit(experiment, f"{name}-backbone", learned.backbone)
@@ -177,14 +179,14 @@ def _training(experiment: Experiment, name: str, learned: Learned) -> Iterator[S
     yield from probes
     head = _fit(experiment, f"{name}-head", learned.head, needs=needs, rivals=probes)
     yield head
-    yield from _trials(experiment, name, learned.label, f"{head.run}/model", head.name)
+    yield from _trials(experiment, replace(row, model=f"{head.run}/model"), head.name)
     for seed in range(1, experiment.seeds if learned.repeated else 1):
         run = f"{head.run}-seed{seed}"
         options = ("--model.init_args.seed", str(seed), "--data.init_args.seed", str(seed))
-        yield _fit(experiment, f"{name}-head-seed{seed}", learned.head, run, options, needs)
-        one = ("simple", experiment.scenes)
-        key, label = f"{name}-seed{seed}", f"{learned.label}#{seed}"
-        yield _trial(experiment, one, key, label, f"{run}/model", f"{name}-head-seed{seed}")
+        fit = _fit(experiment, f"{name}-head-seed{seed}", learned.head, run, options, needs)
+        yield fit
+        again = _Row(row.name, f"{name}-seed{seed}", f"{row.label}#{seed}", f"{run}/model")
+        yield _trial(experiment, again, "simple", experiment.scenes, fit.name)
 
 
 def _probes(experiment: Experiment, name: str, learned: Learned) -> Iterator[Stage]:
@@ -238,36 +240,24 @@ def _data(experiment: Experiment, config: str) -> list[Stage]:
     return stages
 
 
-def _trials(
-    experiment: Experiment, key: str, label: str, model: str, *needs: str, schedule: str | None = None
-) -> list[Stage]:
+def _trials(experiment: Experiment, row: _Row, *needs: str) -> list[Stage]:
     counts = {
         "simple": experiment.scenes,
         "clutter": experiment.clutter_scenes,
         "novel": experiment.novel_scenes,
     }
-    tasks = [task for task in counts.items() if task[1] > 0]
-    return [_trial(experiment, task, key, label, model, *needs, schedule=schedule) for task in tasks]
+    return [_trial(experiment, row, task, count, *needs) for task, count in counts.items() if count > 0]
 
 
-def _trial(
-    experiment: Experiment,
-    scenes: tuple[str, int],
-    key: str,
-    label: str,
-    model: str,
-    *needs: str,
-    schedule: str | None = None,
-) -> Stage:
-    task, count = scenes
-    options = {"task": task, "method": model, "scenes": count, "seed": SCENE_SEED, "size": SIZES[experiment.scale]}
-    if schedule is not None:
-        options["schedule"] = schedule
+def _trial(experiment: Experiment, row: _Row, task: str, count: int, *needs: str) -> Stage:
+    options = {"task": task, "method": row.model, "scenes": count, "seed": SCENE_SEED, "size": SIZES[experiment.scale]}
+    if row.schedule is not None:
+        options["schedule"] = row.schedule
     if task == "novel" and experiment.objects is not None:
         options["objects"] = str(experiment.objects)
-    options["out"] = f"results/{task}-{key}.jsonl"
+    options["out"] = f"results/{task}-{row.key}.jsonl"
     command = ("evaluate", *(part for name, value in options.items() for part in (f"--{name}", str(value))))
-    return Stage(f"{task}-{key}", command, needs, gives=f"{label}={options['out']}")
+    return Stage(f"{task}-{row.key}", command, needs, gives=f"{row.label}={options['out']}")
 
 
 def _report(stages: list[Stage]) -> Stage:
