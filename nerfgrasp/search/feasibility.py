@@ -29,7 +29,7 @@ class Feasibility:
     way of the last `reach` should meet nothing, lines from pad to pad should: each probability counts by its logarithm.
     Where these lines end, seen from either pad, is the face that the pad will touch; it should not slant.
 
-    The weights are in Ψ's unit; docs/results.md tells how they were chosen.
+    The weights are in Ψ's unit; docs/trials.md tells how they were chosen.
     """
 
     gripper: Gripper = ROBOTIQ_2F85
@@ -157,7 +157,7 @@ class Feasibility:
 
 ONE_VIEW = Feasibility(free=Feasibility.free / 2, gap=Feasibility.gap / 2, slant=Feasibility.slant / 2)
 """For a model that sees one view at a time and smears an object along its line of sight: half the weights, chosen in
-96 tuning scenes (docs/results.md)."""
+96 tuning scenes (docs/trials.md)."""
 
 
 def opacity(optical_depth: Tensor) -> Tensor:

@@ -112,7 +112,7 @@ RESAMPLE = Strategy("resample", candidates=2048, keep=128, rounds=ROUNDS, climb=
 """Resampling rounds around the best, then a short climb of both groups (measured in docs/results.md)."""
 ALONE = replace(RESAMPLE, name="alone", climbers=32, feasibility=None)
 """As `resample`, but Ψ alone judges: all that can be done for a model that never learned to render. One that did can be
-compared with it so. A quarter as many climb, which finds values as high in two thirds of the time (docs/results.md)."""
+compared with it so. A quarter as many climb, which finds values as high in two thirds of the time (docs/trials.md)."""
 JOINT_SEARCH = Strategy("joint", candidates=512, keep=None, climb=JOINT)
 """All climb, both groups at once, each at its own pace and until all have converged."""
 PRUNE = Strategy("prune", candidates=4096, keep=128, climb=JOINT)
