@@ -4,9 +4,10 @@
 
 Each scene is observed once, and three searches start from the same candidates, in turns: Algorithm 1 written plainly on
 the plain network (`plain_mvnerf.py`; eager, float32, image features cached, the gradients of the poses alone), and the
-schedules `paper` and `halving`. One JSON line a scene is appended; a run that is started again goes on where it
-stopped. Seconds are the wall's clock's and of the process's own time, which counts every thread and suffers less from
-other processes.
+schedules `paper` and `halving`. Where that takes too long, `--plain_scenes 3` leaves the plain search out after three
+scenes; `paper`, which is Algorithm 1 too, then stands for its value in the others. One JSON line a scene is appended; a
+run that is started again goes on where it stopped. Seconds are the wall's clock's and of the process's own time, which
+counts every thread and suffers less from other processes.
 """
 
 import json
@@ -48,6 +49,7 @@ def main(
     seed: int = TUNING_SEED,
     images: int = 3,
     chunk: int = 64,
+    plain_scenes: int | None = None,
     out: Path = Path("algorithm1.jsonl"),
 ) -> None:
     """Compares the searches over scenes.
@@ -59,6 +61,7 @@ def main(
         seed: of the scenes.
         images: how many are used.
         chunk: how many poses any of the searches evaluates at once.
+        plain_scenes: in how many of them, from the first, the plain search takes part; in all if None.
         out: JSON lines, one a scene; scenes that it holds are not searched again.
     """
     keep_freed_memory()
@@ -69,22 +72,23 @@ def main(
     method = Psi(method.model, images=images, chunk=chunk)
     for scene in tqdm([scene for scene in range(scenes) if scene not in rows], desc="scenes"):
         observed = method.observe(observe(task.draw(seed, scene), method.images), workspace)
-        rows[scene] = {"scene": scene, **settings, **compare(method, observed, scene, candidates)}
+        plain = plain_scenes is None or scene < plain_scenes
+        rows[scene] = {"scene": scene, **settings, **compare(method, observed, scene, candidates, plain=plain)}
         with out.open("a") as file:
             file.write(json.dumps(rows[scene]) + "\n")
     print("\n".join(summary([rows[scene] for scene in sorted(rows) if scene < scenes])))
 
 
-def compare(method: Psi, scene: ObservedScene, index: int, candidates: int) -> Row:
-    """Searches one scene in all ways, each time another first; returns by each one's name what `measured` does."""
+def compare(method: Psi, scene: ObservedScene, index: int, candidates: int, *, plain: bool = True) -> Row:
+    """Searches one scene in all ways, each time another first; returns by each one's name what `measured` does.
+
+    The plain search takes part if `plain`.
+    """
     pose = load_pose("quaternion", scene.workspace)
-    ways: list[tuple[str, Value, Callable[[Value, torch.Generator], Tensor]]] = [
-        (
-            PLAIN,
-            plain_value(method.model, scene),
-            partial(plain_search, pose=pose, workspace=scene.workspace, candidates=candidates, chunk=method.chunk),
-        )
-    ]
+    ways: list[tuple[str, Value, Callable[[Value, torch.Generator], Tensor]]] = []
+    if plain:
+        way = partial(plain_search, pose=pose, workspace=scene.workspace, candidates=candidates, chunk=method.chunk)
+        ways.append((PLAIN, plain_value(method.model, scene), way))
     for name in SCHEDULES:
         way = partial(own_search, pose=pose, scene=scene, name=name, candidates=candidates, chunk=method.chunk)
         ways.append((name, partial(method.model.value, scene.features), way))
@@ -179,27 +183,27 @@ def plain_value(model: GraspValue, scene: ObservedScene) -> Value:
 
 
 def summary(rows: Sequence[Row]) -> list[str]:
-    """Returns the table's lines."""
-    one = rows[0]
+    """Returns the table's lines: times where the plain search took part, best values there and over all scenes."""
+    one, timed = rows[0], [row for row in rows if PLAIN in row]
     lines = [
-        f"{len(rows)} scenes of seed {one['seed']}, {one['model']}, {one['candidates']} candidates, "
-        f"{one['threads']} threads, torch {one['torch']}",
+        f"{len(rows)} scenes ({len(timed)} with the plain search) of seed {one['seed']}, {one['model']}, "
+        f"{one['candidates']} candidates, {one['threads']} threads, torch {one['torch']}",
         "search     gradients   values  s, median  process s  plain/it: median, total  of process  best value, mean",
     ]
-    for name in (PLAIN, *SCHEDULES):
-        found = [row[name] for row in rows]
+    for name in (PLAIN, *SCHEDULES) if timed else ():
+        found = [row[name] for row in timed]
         seconds, process = ([entry[key] for entry in found] for key in ("seconds", "process"))
         lines.append(
             f"{name:<10}{statistics.mean(entry['gradients'] for entry in found):10.0f}"
             f"{statistics.mean(entry['values'] for entry in found):9.0f}"
             f"{statistics.median(seconds):11.2f}{statistics.median(process):11.2f}"
-            f"{'':4}{_ratios(rows, name, 'seconds')}{'':2}{_ratios(rows, name, 'process')}"
+            f"{'':4}{_ratios(timed, name, 'seconds')}{'':2}{_ratios(timed, name, 'process')}"
             f"{statistics.mean(entry['best'] for entry in found):12.3f}"
         )
-    for name in SCHEDULES:
-        lines.append(
-            f"best value, {name} less {PLAIN}: {_difference([r[name]['best'] - r[PLAIN]['best'] for r in rows])}"
-        )
+    for name, other, where in (("paper", PLAIN, timed), ("halving", PLAIN, timed), ("halving", "paper", rows)):
+        if where:
+            differences = [row[name]["best"] - row[other]["best"] for row in where]
+            lines.append(f"best value, {name} less {other}: {_difference(differences)}")
     return lines
 
 

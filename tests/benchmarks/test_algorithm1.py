@@ -58,6 +58,8 @@ def test_a_scene_is_compared(method: Psi, scene: ObservedScene) -> None:
     # All 4 for 7 steps, 2 for 4, and 1 for the other 21, which alone is valued at the end.
     assert (halving["gradients"], halving["values"]) == (28 + 8 + 21, 1)
     assert plain["best"] == pytest.approx(paper["best"], abs=1e-3)
+    alone = algorithm1.compare(method, scene, 1, 4, plain=False)
+    assert {name: way["best"] for name, way in alone.items()} == {"paper": paper["best"], "halving": halving["best"]}
 
 
 def row(scene: int, plain: float, halving: float) -> dict[str, Any]:
@@ -68,7 +70,16 @@ def row(scene: int, plain: float, halving: float) -> dict[str, Any]:
 
 
 def test_the_summary_compares_scene_by_scene() -> None:
-    lines = algorithm1.summary([row(0, 2.0, 1.0), row(1, 12.0, 2.0), row(2, 10.0, 2.0)])
+    untimed = {name: way for name, way in row(3, 0.0, 9.0).items() if name != "plain"}
+    lines = algorithm1.summary([row(0, 2.0, 1.0), row(1, 12.0, 2.0), row(2, 10.0, 2.0), untimed])
+    assert lines[0].startswith("4 scenes (3 with the plain search)")
     assert [line.split()[5:7] for line in lines[2:5]] == [["1.00", "1.00"], ["10.00", "8.00"], ["5.00", "4.80"]]
     assert "paper less plain: +0.000 (standard error 0.000)" in lines[5]
     assert "halving less plain: +1.000 (standard error 0.577), median +1.000, higher in 2 of 3" in lines[6]
+    assert "halving less paper: +1.500 (standard error 0.645), median +1.500, higher in 3 of 4" in lines[7]
+
+
+def test_the_summary_without_the_plain_search_is_of_values_alone() -> None:
+    rows = [{name: way for name, way in row(scene, 0.0, 1.0).items() if name != "plain"} for scene in range(2)]
+    (line,) = algorithm1.summary(rows)[2:]
+    assert line.startswith("best value, halving less paper: +0.500")
