@@ -2,6 +2,7 @@ r"""Which schedule of the search finds the best grasps for as many evaluations o
 
     python benchmarks/schedules.py tune --out schedules-tuning.jsonl
     python benchmarks/schedules.py compare --rates '{joint: 0.02, prune: 0.02}' --out schedules.jsonl
+    python benchmarks/schedules.py full --seed 200 --scenes 50 --out full.jsonl
 
 The named schedules search the same simple scenes, each with so few candidates that it spends about what `guided` does;
 an evaluation with a gradient counts as two. All keep to the same limits, and their grasps are weighed by the same
@@ -10,6 +11,10 @@ for candidates and for feasibility, is not counted. Most schedules draw their ca
 0.015` all draw them where the model sees something, as `guided` does, so that only what follows tells them apart.
 `tune` finds the learning rates of `joint` and `prune` by the mean over scenes of the best final value, out of seven
 each; the others keep theirs.
+
+`full` holds the paper's full search, 4,096 candidates by `halving`, against the default one, at any cost: it keeps to
+the default's limits, and its grasps are weighed and polished as the default's are. (Without these it is
+`nerfgrasp evaluate --schedule halving`.)
 
 A killed run goes on where the same command is given again; a finished one prints its tables again.
 """
@@ -30,11 +35,11 @@ from nerfgrasp.evaluation.trials import proposal_generator
 from nerfgrasp.models.folder import DEFAULT_MODEL
 from nerfgrasp.search.feasibility import Feasibility
 from nerfgrasp.search.limits import Limits
-from nerfgrasp.search.strategies import GUIDED, JOINT_SEARCH, PAPER_SEARCH, PRUNE, RESAMPLE, Strategy
+from nerfgrasp.search.strategies import GUIDED, HALVING_SEARCH, JOINT_SEARCH, PAPER_SEARCH, PRUNE, RESAMPLE, Strategy
 
 AS_IT_IS = "paper as it is"
 _SAME = {"limits": Limits(), "feasibility": Feasibility(), "polish": ()}
-STRATEGIES = {
+EQUAL = {
     "guided": replace(GUIDED, **_SAME),
     "resample": replace(RESAMPLE, candidates=462, keep=26, **_SAME),
     "joint": replace(JOINT_SEARCH, candidates=35, **_SAME),
@@ -45,6 +50,8 @@ STRATEGIES = {
 """By what tables call them: the first is what the others are held against. `guided` spends at most 2464 evaluations,
 `resample` 2464 and `paper` 2470; how many `joint` and `prune` do, which stop once converged, was tried in scenes of the
 tuning seed."""
+FULL = {"default": GUIDED, "full": replace(HALVING_SEARCH, limits=Limits(), feasibility=Feasibility())}
+"""The same of what `full` compares."""
 TUNED = ("joint", "prune")
 RATES = (0.0025, 0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
 
@@ -54,7 +61,7 @@ class Case:
     """A schedule, perhaps with another learning rate."""
 
     name: str
-    """One of `STRATEGIES`."""
+    """In `EQUAL` or `FULL`."""
     rate: float | None = None
     """Of all phases of its climb; None for its own."""
 
@@ -66,7 +73,7 @@ class Case:
     @property
     def strategy(self) -> Strategy:
         """The whole search."""
-        found = STRATEGIES[self.name]
+        found = {**EQUAL, **FULL}[self.name]
         if self.rate is None:
             return found
         phases = tuple(replace(phase, learning_rate=self.rate) for phase in found.climb.phases)
@@ -93,7 +100,7 @@ def tune(
     """
     grids = [[Case(name, rate) for rate in RATES] for name in TUNED]
     # The first beside them shows whether they spend as much.
-    cases = [Case(next(iter(STRATEGIES))), *(case for grid in grids for case in grid)]
+    cases = [Case(next(iter(EQUAL))), *(case for grid in grids for case in grid)]
     setting = {"model": model, "seed": seed, "spacing": spacing}
     rows = comparison.run(measure, cases, attempts=False, out=out, scenes=scenes, workers=workers, **setting)
     print(format_tables([comparison.climbs_table(rows)]))
@@ -125,10 +132,33 @@ def compare(
     """
     rates = rates or {}
     for name in rates:
-        if name not in STRATEGIES:
-            raise unknown_name("schedule", name, STRATEGIES)
-    cases = [Case(name, rates.get(name)) for name in STRATEGIES]
+        if name not in EQUAL:
+            raise unknown_name("schedule", name, EQUAL)
+    cases = [Case(name, rates.get(name)) for name in EQUAL]
     setting = {"model": model, "seed": seed, "spacing": spacing}
+    comparison.print_comparison(
+        comparison.run(measure, cases, attempts=True, out=out, scenes=scenes, workers=workers, **setting)
+    )
+
+
+def full(
+    out: Path,
+    scenes: int = 50,
+    model: str = DEFAULT_MODEL,
+    seed: int = REPORTED_SEED,
+    workers: int | None = None,
+) -> None:
+    """Compares the full search with the default one, and carries their grasps out.
+
+    Args:
+        out: JSON lines, one a scene and search.
+        scenes: how many.
+        model: folder or shipped name of a grasp value.
+        seed: of the scenes.
+        workers: processes; one a core if not given.
+    """
+    setting = {"model": model, "seed": seed, "spacing": None}
+    cases = [Case(name) for name in FULL]
     comparison.print_comparison(
         comparison.run(measure, cases, attempts=True, out=out, scenes=scenes, workers=workers, **setting)
     )
@@ -152,4 +182,4 @@ def measure(
 
 
 if __name__ == "__main__":
-    auto_cli([tune, compare], as_positional=False)
+    auto_cli([tune, compare, full], as_positional=False)

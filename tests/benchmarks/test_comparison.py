@@ -1,6 +1,6 @@
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -124,3 +124,24 @@ def test_schedules_spend_alike(tmp_path: Path, tiny_network: Callable[..., Any])
     cases = [schedules.Case(name) for name in ("resample", "paper")]
     found = schedules.measure(0, cases, model=str(tmp_path / "model"), seed=7, attempts=False, spacing=None)
     assert [row["evaluations"] for row in found] == [2464, 2470]
+
+
+def test_the_full_search_is_held_against_the_default(
+    tmp_path: Path,
+    tiny_network: Callable[..., Any],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    import schedules
+
+    torch.manual_seed(0)
+    save_model(tmp_path / "model", GraspValue(GraspValueConfig(backbone=tiny_network(image_size=32))))
+    for name, strategy in schedules.FULL.items():
+        monkeypatch.setitem(schedules.FULL, name, replace(strategy, candidates=16))
+    out = tmp_path / "rows.jsonl"
+    schedules.full(out, scenes=1, model=str(tmp_path / "model"), workers=1)
+    default, full = map(json.loads, out.read_text().splitlines())
+    assert [default["case"], full["case"]] == ["default", "full"]
+    # All 16 for 7 steps, 8 for 4, and so on; the rest is what polishing asks for, of any.
+    assert full["evaluations"] > 2 * (16 * 7 + 8 * 4)
+    assert "Less default" in capsys.readouterr().out
