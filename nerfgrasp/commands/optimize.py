@@ -139,7 +139,6 @@ def _search_and_write(asked: _Search, folder: Path) -> None:
     if asked.attempt is not None:
         data["grasps"][0]["outcome"] = asked.attempt(grasps.T_world_grasp[0])
         print(f"the best grasp, carried out in physics: {data['grasps'][0]['outcome']}", flush=True)
-    method.model.cpu()
     _write(folder, asked, grasps, trace.to("cpu"), data)
 
 

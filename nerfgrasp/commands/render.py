@@ -25,6 +25,7 @@ from nerfgrasp.models.scores import LPIPS_LEAST_SIDE, image_scores, load_lpips
 from nerfgrasp.scenes.folder import read_scene
 from nerfgrasp.scenes.scene import Observations, Scene
 from nerfgrasp.scenes.shipped import find_scene
+from nerfgrasp.search.devices import find_device
 from nerfgrasp.viz.imagination import full_orbit
 from nerfgrasp.viz.rendering_sheet import animation, orbit_sheet, views_sheet
 from nerfgrasp.viz.renderings import RenderedView, render_views
@@ -60,6 +61,7 @@ def render(
     orbit: int | None = None,
     inputs: Views = None,
     size: int = 128,
+    device: str = "cpu",
     out: Path | None = None,
 ) -> None:
     """Renders a model's RGB and depth of a scene: of its views, scored against the truth, or on an orbit.
@@ -76,15 +78,17 @@ def render(
         inputs: the views that the model is given, e.g. `0,1,2`; as many as it sees at once, from the front, if not
             given.
         size: the longer side of what is rendered, pixels; images that are smaller stay as they are.
+        device: where to render: `cpu`, `cuda`, `mps`, or a numbered one, e.g. `cuda:1`.
         out: folder of the results; `SCENE-render` if not given.
 
     Raises:
         UserError: something asked for is not there, is damaged or cannot be written.
     """
     _check(view, orbit, size)
+    where = find_device(device)
     found = read_scene(find_scene(scene))
     chosen = _numbers("view", view, found)
-    network = load_backbone(model)
+    network = load_backbone(model).to(where)
     seen = _seen(found, _numbers("inputs", inputs, found), network.config.views)
     numbers = [] if orbit else chosen or _others(found, seen)
     destination = Path(f"{found.name}-render") if out is None else Path(out)

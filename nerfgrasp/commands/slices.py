@@ -23,6 +23,7 @@ from nerfgrasp.scenes.scene import Scene
 from nerfgrasp.scenes.shipped import find_scene
 from nerfgrasp.scenes.slices import SLICES, Axes, Slice, cut_slice
 from nerfgrasp.scenes.truth import tensor_to_json
+from nerfgrasp.search.devices import find_device
 from nerfgrasp.search.psi import Psi
 from nerfgrasp.viz.slice_sheet import slice_sheet, spans
 
@@ -54,6 +55,7 @@ def slices(
     reach: float | None = None,
     turn: float = 90.0,
     seed: int = 0,
+    device: str = "cpu",
     out: Path | None = None,
 ) -> None:
     """Shows models' grasp values beside the negative grasp error, in slices through a valid grasp.
@@ -71,12 +73,14 @@ def slices(
         reach: metres that translations go at most to either side; all of the workspace if not given.
         turn: degrees that rotations go to either side.
         seed: draws the grasp from the valid ones, where the scene has no demonstrated one.
+        device: where the models compute: `cpu`, `cuda`, `mps`, or a numbered one, e.g. `cuda:1`.
         out: folder of the results; `SCENE-slices` if not given.
 
     Raises:
         UserError: something asked for is not there, is damaged or cannot be written, or the scene is not simulated.
     """
     _check(model, slices, size, reach, turn, seed)
+    find_device(device)
     found = read_scene(find_scene(scene))
     truth = found.truth
     if truth is None:
@@ -90,7 +94,7 @@ def slices(
         cut_slice(grasp, name, found.workspace, size=size, axes=axes, reach=reach, turn=math.radians(turn))
         for name in slices
     ]
-    methods = {name: Psi.from_pretrained(name) for name in model}
+    methods = {name: Psi.from_pretrained(name, device=device) for name in model}
     destination = Path(f"{found.name}-slices") if out is None else Path(out)
     with publishing(destination) as results:
         true = [true_values(cut, valid) for cut in cuts]

@@ -37,7 +37,7 @@ class RenderedView:
 
 
 def render_views(model: MVNeRF, inputs: Observations, camera: Camera, workspace: Workspace) -> Iterator[RenderedView]:
-    """Renders a scene from further cameras, one after another.
+    """Renders a scene from further cameras, one after another, on the model's device; the views come to the CPU.
 
     Args:
         model: the network.
@@ -45,12 +45,14 @@ def render_views(model: MVNeRF, inputs: Observations, camera: Camera, workspace:
         camera: batch shape `[N]`.
         workspace: where the scene is.
     """
+    device = next(model.parameters()).device
+    inputs, box = inputs.to(device), workspace.to(device)
     seen = inputs.camera
     views = Camera(seen.intrinsics[None], seen.T_world_camera[None], seen.width, seen.height)
     with torch.no_grad():
-        features = model.observe(inputs.images[None], views, workspace)
-    for each in (camera[view] for view in range(len(camera))):
-        rgb, distance, inside = render_image(model, features, each, workspace)
+        features = model.observe(inputs.images[None], views, box)
+    for each in (camera[view].to("cpu") for view in range(len(camera))):
+        rgb, distance, inside = (part.cpu() for part in render_image(model, features, each.to(device), box))
         yield RenderedView(each, rgb, depth_along_axis(each, distance), inside)
 
 

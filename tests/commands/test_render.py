@@ -201,6 +201,7 @@ def test_lpips_is_among_the_scores_where_it_is_installed(
         (["--orbit=0"], "orbit is 0"),
         (["--size=8"], "size is 8"),
         (["--model=nowhere"], "unknown model"),
+        (["--device=cuda:77"], "device 'cuda:77' is not there"),
         (["--scene=nowhere"], "unknown scene"),
     ],
 )

@@ -142,6 +142,7 @@ def test_without_a_demonstration_the_seed_chooses(tmp_path: Path, models: dict[s
         (["--slices=[]"], "--slices names nothing"),
         (["--model", "mv3-laptop", "mv3-laptop"], "--model names mv3-laptop twice"),
         (["--model=nowhere"], "unknown model"),
+        (["--device=cuda:77"], "device 'cuda:77' is not there"),
         (["--model=BACKBONE"], "values no grasps"),
         (["--axes=table"], "axes"),
         (["--scene=nowhere"], "unknown scene"),

@@ -1,13 +1,19 @@
+from collections.abc import Callable
+from typing import Any
+
 import pytest
 import torch
+from elsewhere import another_device
 
 from nerfgrasp.errors import UserError
-from nerfgrasp.evaluation.slices import central_grasp, means_by_kind, rank_correlation, true_values
-from nerfgrasp.geometry import make_pose
+from nerfgrasp.evaluation.slices import central_grasp, learned_values, means_by_kind, rank_correlation, true_values
+from nerfgrasp.geometry import Camera, make_pose
+from nerfgrasp.models import GraspValue, GraspValueConfig
 from nerfgrasp.scenes.oracle import negative_grasp_error, valid_grasps
 from nerfgrasp.scenes.prisms import Prism
-from nerfgrasp.scenes.scene import Truth, Workspace
+from nerfgrasp.scenes.scene import Observations, Truth, Workspace
 from nerfgrasp.scenes.slices import cut_slice
+from nerfgrasp.search.psi import Psi
 
 BAR = Prism(
     "box", (((-0.02, -0.06), (0.02, -0.06), (0.02, 0.06), (-0.02, 0.06)),), 0.06, (1, 0, 0), 500.0, torch.eye(4)
@@ -49,6 +55,19 @@ def test_outside_of_the_workspace_nothing_is_known() -> None:
     turned = ACROSS @ make_pose(torch.tensor([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]]), torch.zeros(3))
     cut = cut_slice(turned, "tx-ty", Workspace(), size=7)
     assert torch.equal(true_values(cut, valid_grasps([BAR])).isnan(), ~cut.inside)
+
+
+def test_a_model_on_another_device_values_the_same(
+    tiny_network: Callable[..., Any], cameras: Callable[..., Camera]
+) -> None:
+    cuts = [cut_slice(ACROSS, "tx-rz", Workspace(), size=3)]
+    model = GraspValue(GraspValueConfig(tiny_network(image_size=32))).eval()
+    seen = Observations(torch.rand(3, 3, 32, 32), cameras(3))
+    [here] = learned_values(Psi(model), seen, Workspace(), cuts)
+    with another_device() as send:
+        send(model)
+        [there] = learned_values(Psi(model), seen, Workspace(), cuts)
+    torch.testing.assert_close(there, here, rtol=1e-4, atol=1e-4, equal_nan=True)
 
 
 def test_rank_correlation_is_spearmans() -> None:

@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 import torch
+from elsewhere import another_device
 
 from nerfgrasp.geometry import Camera, is_rigid, project, transform
 from nerfgrasp.models import GraspValue, GraspValueConfig
@@ -70,3 +71,17 @@ def test_the_scene_is_imagined_from_the_side_and_from_the_grasp(
     assert [[panel.fingers_only for panel in row] for row in rows] == [[False, False], [True, True]]
     assert "grasp" in rows[1][0].title
     assert not torch.equal(rows[0][0].image, rows[0][1].image)
+
+
+def test_a_model_on_another_device_imagines_the_same(
+    observations: Observations, grasps: Grasps, tiny_network: Callable[..., Any]
+) -> None:
+    model = GraspValue(GraspValueConfig(backbone=tiny_network())).eval()
+    here = imagine(model, observations, Workspace(), grasps.T_world_grasp[0], longer_side=16)
+    with another_device() as send:
+        send(model)
+        there = imagine(model, observations, Workspace(), grasps.T_world_grasp[0], longer_side=16)
+    for name, view in here.items():
+        torch.testing.assert_close(there[name].rgb, view.rgb)
+        torch.testing.assert_close(there[name].depth, view.depth)
+        assert there[name].camera.intrinsics.device.type == "cpu"
