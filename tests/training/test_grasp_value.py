@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 import torch
+from elsewhere import DEVICE, another_device
+from lightning.pytorch.utilities import move_data_to_device
 
 from nerfgrasp.data.grasps import GraspData, Negatives
 from nerfgrasp.data.streams import SceneSet
@@ -212,3 +214,21 @@ def test_a_model_folder_says_by_what_loss_it_was_trained(backbone: Path, tmp_pat
     del plain["config"]["loss"]
     file.write_text(json.dumps(plain))
     assert load_model(tmp_path / "head").config.loss == "softmax", "older folders do not say"
+
+
+@pytest.mark.parametrize("pretrained", [True, False])
+def test_it_trains_on_another_device(pretrained: bool, backbone: Path, tiny_network: Callable[..., Any], data) -> None:
+    def start() -> GraspValueTraining:
+        return training(backbone) if pretrained else from_scratch(tiny_network())
+
+    poses = data()
+    poses.setup("fit")
+    batch = next(iter(poses.train_dataloader()))
+    here, module = grasp_loss(start().training_values(batch), "softmax"), start()
+    with another_device() as send:
+        send(module.network)
+        for _ in range(2):  # the second time, from the features that were kept
+            there = grasp_loss(module.training_values(move_data_to_device(batch, DEVICE)), "softmax")
+            torch.testing.assert_close(there.cpu(), here, rtol=1e-3, atol=1e-3)
+        there.backward()
+        assert all(parameter.grad is not None for parameter in module.network.head_parameters())

@@ -5,6 +5,8 @@ from typing import Any
 
 import pytest
 import torch
+from elsewhere import DEVICE, another_device
+from lightning.pytorch.utilities import move_data_to_device
 
 from nerfgrasp.data.rays import RayData
 from nerfgrasp.data.streams import SceneSet
@@ -89,3 +91,20 @@ def test_every_batch_of_every_process_has_its_own_samples(tiny_network: Callable
             for batch in (0, 1):
                 seeds.add(module._generator(2 * module.global_step + batch).initial_seed())
     assert len(seeds) == 8
+
+
+def test_it_trains_and_validates_on_another_device(
+    tiny_network: Callable[..., Any], data: Callable[[], RayData]
+) -> None:
+    module, rays = training(tiny_network()), data()
+    rays.setup("fit")
+    batch, view = next(iter(rays.train_dataloader())), next(iter(rays.val_dataloader()))
+    here, rendered = module.errors(batch, module._generator(0)), module.validation_step(view, 0)
+    with another_device() as send:
+        send(module.network)
+        there = module.errors(move_data_to_device(batch, DEVICE), module._generator(0))
+        sum(there).backward()
+        assert all(parameter.grad is not None for parameter in module.network.parameters())
+        seen = module.validation_step(move_data_to_device(view, DEVICE), 0)
+        torch.testing.assert_close([error.cpu() for error in there], list(here))
+        torch.testing.assert_close(seen["rgb"].cpu(), rendered["rgb"], rtol=1e-4, atol=1e-4)
