@@ -51,7 +51,7 @@ EQUAL = {
 `resample` 2464 and `paper` 2470; how many `joint` and `prune` do, which stop once converged, was tried in scenes of the
 tuning seed."""
 FULL = {"default": GUIDED, "full": replace(HALVING_SEARCH, limits=Limits(), feasibility=Feasibility())}
-"""The same of what `full` compares."""
+"""What `full` compares, by what tables call it."""
 TUNED = ("joint", "prune")
 RATES = (0.0025, 0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
 
