@@ -183,23 +183,16 @@ def plain_value(model: GraspValue, scene: ObservedScene) -> Value:
 
 
 def summary(rows: Sequence[Row]) -> list[str]:
-    """Returns the table's lines: times where the plain search took part, best values there and over all scenes."""
+    """Returns the lines of a table where the plain search took part, of one over all scenes, and of the differences."""
     one, timed = rows[0], [row for row in rows if PLAIN in row]
     lines = [
-        f"{len(rows)} scenes ({len(timed)} with the plain search) of seed {one['seed']}, {one['model']}, "
-        f"{one['candidates']} candidates, {one['threads']} threads, torch {one['torch']}",
-        "search     gradients   values  s, median  process s  plain/it: median, total  of process  best value, mean",
+        f"seed {one['seed']}, {one['model']}, {one['candidates']} candidates, {one['threads']} threads, "
+        f"torch {one['torch']}"
     ]
-    for name in (PLAIN, *SCHEDULES) if timed else ():
-        found = [row[name] for row in timed]
-        seconds, process = ([entry[key] for entry in found] for key in ("seconds", "process"))
-        lines.append(
-            f"{name:<10}{statistics.mean(entry['gradients'] for entry in found):10.0f}"
-            f"{statistics.mean(entry['values'] for entry in found):9.0f}"
-            f"{statistics.median(seconds):11.2f}{statistics.median(process):11.2f}"
-            f"{'':4}{_ratios(timed, name, 'seconds')}{'':2}{_ratios(timed, name, 'process')}"
-            f"{statistics.mean(entry['best'] for entry in found):12.3f}"
-        )
+    if timed:
+        lines += _table(timed, (PLAIN, *SCHEDULES))
+    if len(timed) < len(rows):
+        lines += _table(rows, SCHEDULES)
     for name, other, where in (("paper", PLAIN, timed), ("halving", PLAIN, timed), ("halving", "paper", rows)):
         if where:
             differences = [row[name]["best"] - row[other]["best"] for row in where]
@@ -207,11 +200,30 @@ def summary(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
-def _ratios(rows: Sequence[Row], name: str, key: str) -> str:
-    """How many times as long the plain search takes: the median over scenes, and in all."""
-    pairs = [(row[PLAIN][key], row[name][key]) for row in rows]
-    plain, own = (sum(column) for column in zip(*pairs, strict=True))
-    return f"{statistics.median(a / b for a, b in pairs):8.2f}{plain / own:8.2f}"
+def _table(rows: Sequence[Row], names: Sequence[str]) -> list[str]:
+    """Returns a line a search; each is compared with the first."""
+    lines = [
+        f"{f'{len(rows)} scenes':<10} gradients   values  s, median  process s  {names[0]}/it: median, total"
+        "  of process  best value, mean"
+    ]
+    for name in names:
+        found = [row[name] for row in rows]
+        seconds, process = ([entry[key] for entry in found] for key in ("seconds", "process"))
+        lines.append(
+            f"{name:<10}{statistics.mean(entry['gradients'] for entry in found):10.0f}"
+            f"{statistics.mean(entry['values'] for entry in found):9.0f}"
+            f"{statistics.median(seconds):11.2f}{statistics.median(process):11.2f}"
+            f"{'':4}{_ratios(rows, names[0], name, 'seconds')}{'':2}{_ratios(rows, names[0], name, 'process')}"
+            f"{statistics.mean(entry['best'] for entry in found):12.3f}"
+        )
+    return lines
+
+
+def _ratios(rows: Sequence[Row], first: str, name: str, key: str) -> str:
+    """How many times as long the first search takes: the median over scenes, and in all."""
+    pairs = [(row[first][key], row[name][key]) for row in rows]
+    longer, own = (sum(column) for column in zip(*pairs, strict=True))
+    return f"{statistics.median(a / b for a, b in pairs):8.2f}{longer / own:8.2f}"
 
 
 def _difference(differences: Sequence[float]) -> str:
@@ -219,7 +231,8 @@ def _difference(differences: Sequence[float]) -> str:
     higher = sum(difference > 0 for difference in differences)
     return (
         f"{statistics.mean(differences):+.3f} (standard error {error}), "
-        f"median {statistics.median(differences):+.3f}, higher in {higher} of {len(differences)}"
+        f"median {statistics.median(differences):+.3f}, from {min(differences):+.3f} to {max(differences):+.3f}, "
+        f"higher in {higher} of {len(differences)}"
     )
 
 
