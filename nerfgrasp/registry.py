@@ -13,8 +13,10 @@ POSES = "nerfgrasp.poses"
 """Pose parameterizations."""
 BASELINES = "nerfgrasp.baselines"
 """Whole grasping methods."""
+GRIPPERS = "nerfgrasp.grippers"
+"""Parallel grippers: objects of the class `nerfgrasp.grippers.Gripper`."""
 
-GROUPS = {POSES: "pose", BASELINES: "method"}
+GROUPS = {POSES: "pose", BASELINES: "method", GRIPPERS: "gripper"}
 """Every group, with what one of its members is called."""
 
 

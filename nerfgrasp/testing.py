@@ -18,7 +18,8 @@ import torch
 from torch import Tensor
 
 from nerfgrasp.geometry import is_rigid, make_pose
-from nerfgrasp.registry import BASELINES, POSES
+from nerfgrasp.grippers import Gripper
+from nerfgrasp.registry import BASELINES, GRIPPERS, POSES
 from nerfgrasp.scenes.scene import Workspace
 from nerfgrasp.search.schedule import GROUPS
 
@@ -73,7 +74,27 @@ def check_baseline(method: Any) -> None:
     _require_call(method, "propose", "self", "observations", "workspace", generator=None, count=1)
 
 
-CHECKS: dict[str, Callable[[Any], None]] = {POSES: check_pose, BASELINES: check_baseline}
+def check_gripper(gripper: Any) -> None:
+    """Checks a gripper: an object of the class `nerfgrasp.grippers.Gripper` with sensible dimensions.
+
+    Raises:
+        ConformanceError: it is something else, or its dimensions contradict each other.
+    """
+    _require(isinstance(gripper, Gripper), f"a gripper is an object of the class Gripper, not {gripper!r}")
+    fingers = gripper.fingers
+    sizes = [*vars(fingers).values(), gripper.finger_length, *gripper.body, gripper.body_mass, gripper.finger_mass]
+    _require(all(0 < size < math.inf for size in sizes), "all dimensions and masses are positive and finite")
+    _require(fingers.max_width <= fingers.stroke, "the widest object fits between the open fingers")
+    _require(fingers.pad_height <= gripper.finger_length, "the pads are not higher than the fingers are long")
+    _require(fingers.palm <= -gripper.palm, "an object may reach as far as the palm, not beyond")
+    _require(gripper.setback < fingers.thickness, "the fingers are thicker than their setback")
+
+
+CHECKS: dict[str, Callable[[Any], None]] = {
+    POSES: check_pose,
+    BASELINES: check_baseline,
+    GRIPPERS: check_gripper,
+}
 """Every group's check."""
 
 

@@ -14,7 +14,7 @@ from nerfgrasp.data.streams import SceneSet, StepDataModule, check_enough
 from nerfgrasp.data.views import Views, read_views
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import make_pose
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
+from nerfgrasp.grippers import ROBOTIQ_2F85
 from nerfgrasp.scenes.scene import Workspace
 
 HELD_OUT_SEED = 0

@@ -6,7 +6,8 @@ from dataclasses import asdict, fields, is_dataclass
 from importlib.resources import files
 from pathlib import Path
 from textwrap import shorten
-from typing import Any, TypeVar, get_type_hints
+from types import NoneType, UnionType
+from typing import Any, TypeVar, get_args, get_type_hints
 
 import torch
 from safetensors import SafetensorError
@@ -149,6 +150,9 @@ def from_plain(config_class: type[Config], plain: dict[str, Any]) -> Config:
 
 
 def _typed(name: str, hint: Any, value: Any) -> Any:
+    choices = [one for one in get_args(hint) if one is not NoneType] if isinstance(hint, UnionType) else []
+    if value is not None and len(choices) == 1:  # optional
+        return _typed(name, choices[0], value)
     if isinstance(hint, type) and is_dataclass(hint) and isinstance(value, dict):
         return from_plain(hint, value)
     if hint is float and type(value) is int:

@@ -1,6 +1,5 @@
 """Ψ(p, o): the value of a grasp, read from the scene activations of poses around its tool centre point."""
 
-import math
 from dataclasses import dataclass, field
 
 import torch
@@ -9,6 +8,7 @@ from torch.nn.functional import elu
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import Camera, exact
+from nerfgrasp.grippers import DEFAULT_GRIPPER, Probes, find_gripper
 from nerfgrasp.models.mvnerf import MVNeRF, MVNeRFConfig, SceneFeatures
 from nerfgrasp.models.stored import StoredModule
 from nerfgrasp.scenes.scene import Observations, Workspace
@@ -39,6 +39,10 @@ class GraspValueConfig:
     """Whether the backbone has learned to render: if not, its density says nothing, and no search is to heed it."""
     loss: str = "softmax"
     """By what it was trained: `softmax` among a scene's poses, or `binary`, each pose by itself."""
+    gripper: str = DEFAULT_GRIPPER.name
+    """The gripper whose grasps the model values: a registered name or a YAML file."""
+    probes: Probes | None = None
+    """Where the scene is read around a TCP; None takes the gripper's probes."""
 
 
 class GraspValue(StoredModule):
@@ -47,7 +51,7 @@ class GraspValue(StoredModule):
     Source: the paper, section III-B, and its supplementary diagrams.
 
     Raises:
-        UserError: the config names no loss that there is.
+        UserError: the config names an unknown loss or gripper.
     """
 
     kind = "grasp_value"
@@ -62,20 +66,25 @@ class GraspValue(StoredModule):
         super().__init__()
         if config.loss not in LOSSES:
             raise UserError(f"loss is {config.loss!r}: it must be one of {', '.join(LOSSES)}")
+        probes = config.probes
+        if probes is None:
+            gripper = find_gripper(config.gripper)
+            probes = gripper.probes
         self.config = config
         self.backbone = MVNeRF(config.backbone)
         count, width = self.backbone.fine.activation_count, config.backbone.fine.width
         self.reduce = nn.ModuleList(nn.Linear(width, config.activation_width) for _ in range(count))
         self.fuse = nn.Linear(count * config.activation_width, config.pose_width)
-        poses = len(probe_rays()) * len(probe_steps())
+        rays, steps = probes.rays(), probes.steps()
+        poses = len(rays) * len(steps)
         self.blocks = nn.Sequential(
             ReadoutBlock(poses * config.pose_width, config.hidden_width, config.output_width),
             ReadoutBlock(config.output_width, config.output_width, config.output_width),
         )
         self.readout = nn.Linear(config.output_width, 1)
-        self.register_buffer("rays", probe_rays(), persistent=False)
-        self.register_buffer("steps", probe_steps(), persistent=False)
-        orders = mirror_orders() if config.symmetric else torch.arange(len(probe_rays()))[None]
+        self.register_buffer("rays", rays, persistent=False)
+        self.register_buffer("steps", steps, persistent=False)
+        orders = probes.mirror_orders() if config.symmetric else torch.arange(len(rays))[None]
         self.register_buffer("orders", orders, persistent=False)
 
     @property
@@ -164,35 +173,3 @@ class ReadoutBlock(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Maps `[..., width_in]` to `[..., width_out]`."""
         return self.skip(x) + self.second(elu(self.first(elu(x))))
-
-
-def probe_rays() -> Tensor:
-    """Returns `T_grasp_ray` `[6, 4, 4]`: the bases about the tool centre point whose z axes look at it.
-
-    Two look along the approach, (0, ±15, 0) mm; four look inward from the fingers, (±20, ±15, 12.5) mm. A
-    viewing ray along each z axis makes the 5-DoF poses at which the backbone is asked.
-    """
-    along = [_ray((0.0, y, 0.0), 0.0) for y in (0.015, -0.015)]
-    inward = [_ray((x, y, 0.0125), -math.copysign(math.pi / 2, x)) for x in (0.02, -0.02) for y in (0.015, -0.015)]
-    return torch.stack(along + inward)
-
-
-def mirror_orders() -> Tensor:
-    """Returns `[4, 6]` the numbers of the rays on which each ray falls when the gripper is mirrored.
-
-    The rays lie symmetric about the gripper's x-z and y-z planes; mirrored at both, the gripper is half turned.
-    """
-    positions = probe_rays()[:, :3, 3]
-    mirrors = torch.tensor([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [-1.0, -1.0, 1.0]])
-    return torch.stack([torch.cdist(positions * mirror, positions).argmin(dim=1) for mirror in mirrors])
-
-
-def probe_steps() -> Tensor:
-    """Returns the seven distances `[7]` in metres along each ray: −15 to 15 mm."""
-    return torch.linspace(-0.015, 0.015, 7)
-
-
-def _ray(position: tuple[float, float, float], about_y: float) -> Tensor:
-    c, s = math.cos(about_y), math.sin(about_y)
-    x, y, z = position
-    return torch.tensor([[c, 0.0, s, x], [0.0, 1.0, 0.0, y], [-s, 0.0, c, z], [0.0, 0.0, 0.0, 1.0]])

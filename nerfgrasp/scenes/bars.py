@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Fingers
+from nerfgrasp.grippers import ROBOTIQ_2F85, Fingers
 from nerfgrasp.scenes.prisms import Polygon, Prism
 
 STEP = 0.0005

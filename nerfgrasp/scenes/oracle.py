@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from nerfgrasp.geometry import make_pose
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Fingers
+from nerfgrasp.grippers import ROBOTIQ_2F85, Fingers
 from nerfgrasp.scenes.objects import SceneObject
 from nerfgrasp.scenes.prisms import Prism
 from nerfgrasp.scenes.stances import MAX_TILT, stances

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nerfgrasp.grippers import Fingers
 from nerfgrasp.scenes.bars import END_MARGIN, PAD_GRIP, TABLE_CLEARANCE, VERTEX_OFFSET, bars, faces
-from nerfgrasp.scenes.gripper import Fingers
 from nerfgrasp.scenes.prisms import Prism, corners_in_world
 from nerfgrasp.scenes.profiles import Array, cut, extent, highest_within, lowest_within, rectangles, topmost
 

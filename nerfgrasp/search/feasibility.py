@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from nerfgrasp.grippers import DEFAULT_GRIPPER, Gripper
 from nerfgrasp.models.grasp_value import GraspValue
 from nerfgrasp.models.mvnerf import SceneFeatures
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Gripper
 from nerfgrasp.scenes.scene import Workspace
 
 _WAY_SAMPLES, _GAP_SAMPLES = 12, 40
@@ -32,7 +32,7 @@ class Feasibility:
     The weights are in Ψ's unit; docs/trials.md tells how they were chosen.
     """
 
-    gripper: Gripper = ROBOTIQ_2F85
+    gripper: Gripper = DEFAULT_GRIPPER
     """Whose shape counts."""
     reach: float = 0.06
     """Metres along the approach."""
@@ -76,40 +76,16 @@ class Feasibility:
         def met(T: Tensor, lines: tuple[Tensor, Tensor], samples: int) -> Tensor:
             return self._optical_depths(model, features, T, box, *lines, samples)
 
-        ways = [met(T_world_grasp, lines, _WAY_SAMPLES) for lines in (self.finger_lines(), self.palm_lines())]
+        hand = (self.gripper.finger_lines(self.reach), self.gripper.palm_lines(self.reach))
+        ways = [met(T_world_grasp, lines, _WAY_SAMPLES) for lines in hand]
         added = torch.stack([self.free * _log(1 - opacity(way).amax(dim=1)) for way in ways]).sum(dim=0)
         useful = added > least
         if bool(useful.any()):
-            gap = met(T_world_grasp[useful], self.gap_lines(), _GAP_SAMPLES)
+            gap = met(T_world_grasp[useful], self.gripper.gap_lines(), _GAP_SAMPLES)
             filled = opacity(gap)
             slants = sum(self._slant(side, filled).abs() for side in (gap, gap.flip(-1)))
             added[useful] += self.gap * _log(filled.mean(dim=1)) - self.slant * slants
         return added
-
-    def finger_lines(self) -> tuple[Tensor, Tensor]:
-        """Returns the lines `[L, 3]` (start, vector) that points of the open fingertips draw on their way."""
-        fingers = self.gripper.fingers
-        inner, outer = (fingers.stroke / 2 + share * fingers.thickness for share in (0.125, 0.75))
-        y = 0.36 * fingers.pad_width
-        tips = [(s * x, w, fingers.pad_height / 2) for s in (-1.0, 1.0) for x in (inner, outer) for w in (-y, 0.0, y)]
-        return self._ways(tips)
-
-    def palm_lines(self) -> tuple[Tensor, Tensor]:
-        """Returns the lines `[L, 3]` (start, vector) that points of the palm draw on their way."""
-        x, y = 0.35 * self.gripper.body[0], 0.33 * self.gripper.body[1]
-        return self._ways([(a * x, b * y, self.gripper.palm) for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0)])
-
-    def gap_lines(self) -> tuple[Tensor, Tensor]:
-        """Returns the lines `[9, 3]` (start, vector) from pad to pad: three by three, across the pad and along it."""
-        fingers = self.gripper.fingers
-        z = 0.32 * fingers.pad_height
-        starts = [(-fingers.stroke / 2, a * self._across, b * z) for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0)]
-        return torch.tensor(starts), torch.tensor([[fingers.stroke, 0.0, 0.0]]).repeat(len(starts), 1)
-
-    @property
-    def _across(self) -> float:
-        """Metres between neighbouring lines across a pad."""
-        return 0.36 * self.gripper.fingers.pad_width
 
     def _slant(self, gap: Tensor, filled: Tensor) -> Tensor:
         """Returns the slopes `[P]`, tangents, of the faces that one pad meets: a line fitted through what is there.
@@ -121,17 +97,13 @@ class Feasibility:
         step = self.gripper.fingers.stroke / gap.shape[-1]
         depth = (meeting(gap) * step).unflatten(1, (3, 3))
         weight = filled.unflatten(1, (3, 3))
-        across = self._across * torch.tensor([[-1.0], [0.0], [1.0]]).to(gap)
+        across = self.gripper.gap_spacing * torch.tensor([[-1.0], [0.0], [1.0]]).to(gap)
         total = weight.sum(dim=(1, 2), keepdim=True) + 1e-6
         across = across - (weight * across).sum(dim=(1, 2), keepdim=True) / total
         depth = depth - (weight * depth).sum(dim=(1, 2), keepdim=True) / total
         # Where only one row of lines meets anything there is no slope: the second term lets it vanish.
-        spread = (weight * across.square()).sum(dim=(1, 2)) + 0.3 * self._across**2
+        spread = (weight * across.square()).sum(dim=(1, 2)) + 0.3 * self.gripper.gap_spacing**2
         return (weight * across * depth).sum(dim=(1, 2)) / spread
-
-    def _ways(self, ends: list[tuple[float, float, float]]) -> tuple[Tensor, Tensor]:
-        way = torch.tensor([0.0, 0.0, self.reach])
-        return torch.tensor(ends) - way, way.repeat(len(ends), 1)
 
     def _optical_depths(
         self,

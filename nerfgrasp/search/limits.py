@@ -9,8 +9,8 @@ from torch import Tensor
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import make_pose
+from nerfgrasp.grippers import DEFAULT_GRIPPER, Gripper
 from nerfgrasp.scenes.bars import TABLE_CLEARANCE
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Gripper
 from nerfgrasp.scenes.scene import Workspace
 from nerfgrasp.search.schedule import PoseParameterization
 
@@ -28,7 +28,7 @@ class Limits:
     """The most by which the approach may differ from straight down, radians; π for none."""
     clearance: float | None = TABLE_CLEARANCE
     """Metres to keep free between the open gripper and the table; None lets it go anywhere."""
-    gripper: Gripper = ROBOTIQ_2F85
+    gripper: Gripper = DEFAULT_GRIPPER
     """Whose shape counts."""
 
     def __post_init__(self) -> None:

@@ -87,7 +87,11 @@ class Strategy:
     @property
     def identity(self) -> str:
         """Name and hash of all that it does, e.g. `guided-0123456789abcdef`; `SEARCH_VERSION` counts too."""
-        text = json.dumps([SEARCH_VERSION, asdict(self)], sort_keys=True)
+        settings = asdict(self)
+        for part in ("limits", "feasibility"):
+            if settings[part] is not None:
+                settings[part]["gripper"] = getattr(self, part).gripper.settings()
+        text = json.dumps([SEARCH_VERSION, settings], sort_keys=True)
         return f"{self.name}-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
 
     def settings(self) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Gripper
+from nerfgrasp.grippers import ROBOTIQ_2F85, Gripper
 from nerfgrasp.scenes.objects import SceneObject
 from nerfgrasp.scenes.oracle import sample_top_down, valid_grasps
 from nerfgrasp.scenes.scene import Truth

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Gripper
+from nerfgrasp.grippers import ROBOTIQ_2F85, Gripper
 from nerfgrasp.scenes.prisms import Prism
 from nerfgrasp.scenes.scene import Truth
 from nerfgrasp.sim.attempt import Attempt, attempt_grasp

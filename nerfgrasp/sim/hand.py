@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from nerfgrasp.scenes.gripper import Gripper
+from nerfgrasp.grippers import Gripper
 from nerfgrasp.sim.bullet import Pose, box_compound, matrix, p, quaternion
 from nerfgrasp.sim.world import World
 

@@ -4,7 +4,7 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass, replace
 
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Gripper
+from nerfgrasp.grippers import ROBOTIQ_2F85, Gripper
 
 
 @dataclass(frozen=True)
@@ -88,5 +88,5 @@ def physics_hash(physics: Physics = PHYSICS, gripper: Gripper = ROBOTIQ_2F85) ->
         >>> physics_hash() == physics_hash(Physics()) != physics_hash(Physics(object_friction=0.4))
         True
     """
-    text = json.dumps([asdict(physics), asdict(gripper)], sort_keys=True)
+    text = json.dumps([asdict(physics), gripper.settings()], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from nerfgrasp.geometry import make_pose
+from nerfgrasp.grippers import ROBOTIQ_2F85
 from nerfgrasp.scenes.bars import TABLE_CLEARANCE
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
 from nerfgrasp.scenes.oracle import sample_top_down, valid_grasps
 from nerfgrasp.scenes.scene import Truth
 from nerfgrasp.sim.tasks import scene_generator

@@ -12,8 +12,8 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from nerfgrasp.geometry import make_pose
+from nerfgrasp.grippers import ROBOTIQ_2F85
 from nerfgrasp.scenes.bars import TABLE_CLEARANCE
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.sim.physics import PHYSICS
 from nerfgrasp_baselines.oracle import grasp_score, known_truth

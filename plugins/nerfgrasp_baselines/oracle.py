@@ -8,8 +8,8 @@ from torch import Tensor
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import make_pose
+from nerfgrasp.grippers import ROBOTIQ_2F85
 from nerfgrasp.scenes.bars import TABLE_CLEARANCE
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
 from nerfgrasp.scenes.objects import SceneObject
 from nerfgrasp.scenes.oracle import sample_top_down, valid_grasps
 from nerfgrasp.scenes.scene import Grasps, Observations, Truth, Workspace

@@ -11,7 +11,7 @@ import trimesh
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, Gripper
+from nerfgrasp.grippers import ROBOTIQ_2F85, Gripper
 from nerfgrasp.scenes.objects import SceneObject
 from nerfgrasp.scenes.prisms import Prism, mass_properties
 from nerfgrasp.sim.catalogue import model_of

@@ -14,7 +14,7 @@ from nerfgrasp.data.streams import SceneSet
 from nerfgrasp.data.views import to_float
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import invert, is_rigid, make_pose
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
+from nerfgrasp.grippers import ROBOTIQ_2F85
 from nerfgrasp.scenes.scene import Workspace
 
 NONE = Negatives(uniform=0, near=0)

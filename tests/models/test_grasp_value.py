@@ -8,8 +8,8 @@ from torch import Tensor
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import Camera, invert, make_pose, transform
+from nerfgrasp.grippers import FRANKA, Probes
 from nerfgrasp.models import EncoderConfig, GraspValue, GraspValueConfig, MVNeRFConfig
-from nerfgrasp.models.grasp_value import mirror_orders, probe_rays, probe_steps
 from nerfgrasp.scenes.scene import Observations, Workspace
 
 
@@ -53,12 +53,12 @@ def test_the_probes_are_the_42_of_the_method(model: GraspValue) -> None:
 
 
 def test_bases_are_turned_about_y_alone() -> None:
-    rays = probe_rays()
+    rays = Probes().rays()
     assert rays.shape == (6, 4, 4)
     torch.testing.assert_close(rays[:, :3, 1], torch.tensor([0.0, 1.0, 0.0]).expand(6, 3))
     torch.testing.assert_close(torch.det(rays[:, :3, :3]), torch.ones(6))
     assert torch.equal(rays[:2, :3, :3], torch.eye(3).expand(2, 3, 3))
-    assert len(probe_steps()) == 7
+    assert len(Probes().steps()) == 7
 
 
 def test_mixed_precision_leaves_the_probes_alone(model: GraspValue) -> None:
@@ -192,7 +192,7 @@ def symmetric(tiny_network: Callable[..., Any]) -> GraspValue:
 
 
 def test_mirrored_rays_are_the_rays_in_another_order() -> None:
-    identity, across, along, both = mirror_orders()
+    identity, across, along, both = Probes().mirror_orders()
     assert identity.tolist() == [0, 1, 2, 3, 4, 5]
     assert across.tolist() == [0, 1, 4, 5, 2, 3]
     assert along.tolist() == [1, 0, 3, 2, 5, 4]
@@ -221,3 +221,16 @@ def test_symmetric_value_is_the_mean_over_the_orders(symmetric: GraspValue, obse
             single.append(symmetric.value(features, poses(5)))
     torch.testing.assert_close(torch.stack(single).mean(0), value, atol=1e-5, rtol=1e-5)
     assert torch.stack(single).std(0).max() > 1e-4
+
+
+def test_a_models_probes_are_its_grippers(tiny_network: Callable[..., Any]) -> None:
+    franka = GraspValue(GraspValueConfig(tiny_network(), gripper="franka"))
+    assert torch.equal(franka.rays, FRANKA.probes.rays())
+    assert torch.equal(franka.steps, FRANKA.probes.steps())
+    given = GraspValue(GraspValueConfig(tiny_network(), gripper="franka", probes=Probes(closing=0.03)))
+    assert torch.equal(given.rays, Probes(closing=0.03).rays())
+
+
+def test_an_unknown_gripper_is_refused(tiny_network: Callable[..., Any]) -> None:
+    with pytest.raises(UserError, match=r"unknown gripper 'frank': did you mean 'franka'\?"):
+        GraspValue(GraspValueConfig(tiny_network(), gripper="frank"))

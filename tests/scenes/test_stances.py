@@ -8,7 +8,7 @@ import roma
 import torch
 
 from nerfgrasp.geometry import make_pose
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85, ROBOTIQ_2F140
+from nerfgrasp.grippers import ROBOTIQ_2F85, ROBOTIQ_2F140
 from nerfgrasp.scenes.oracle import ValidGrasps, grasp_errors, sample_top_down, valid_grasps
 from nerfgrasp.scenes.prisms import Prism, corners_in_world
 

@@ -9,7 +9,7 @@ import torch
 from nerfgrasp import registry
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import make_pose
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
+from nerfgrasp.grippers import ROBOTIQ_2F85
 from nerfgrasp.scenes.scene import Workspace
 from nerfgrasp.search import random_candidates
 from nerfgrasp.search.ascent import ascend

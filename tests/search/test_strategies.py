@@ -8,7 +8,7 @@ from torch import Tensor
 
 from nerfgrasp import registry
 from nerfgrasp.errors import UserError
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
+from nerfgrasp.grippers import ROBOTIQ_2F85
 from nerfgrasp.scenes.scene import Workspace
 from nerfgrasp.search import search, strategies
 from nerfgrasp.search.feasibility import Feasibility

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from nerfgrasp.geometry import make_pose
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F140
+from nerfgrasp.grippers import ROBOTIQ_2F140
 from nerfgrasp.scenes.oracle import grasp_errors, sample_top_down, valid_grasps
 from nerfgrasp.sim import shapes
 from nerfgrasp.sim.attempt import Outcome, attempt_grasp, cuts_table, demonstrate

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from nerfgrasp.geometry import Camera
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
+from nerfgrasp.grippers import ROBOTIQ_2F85
 from nerfgrasp.scenes.scene import Truth
 from nerfgrasp.sim.attempt import Outcome, attempt_grasp
 from nerfgrasp.sim.film import film_grasp, gripper_prisms

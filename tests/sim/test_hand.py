@@ -4,7 +4,7 @@ import numpy as np
 import pybullet as p
 import pytest
 
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
+from nerfgrasp.grippers import ROBOTIQ_2F85
 from nerfgrasp.sim.hand import Hand
 from nerfgrasp.sim.physics import PHYSICS
 from nerfgrasp.sim.world import World

@@ -7,7 +7,7 @@ import pybullet as p
 import pytest
 import torch
 
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
+from nerfgrasp.grippers import ROBOTIQ_2F85
 from nerfgrasp.scenes.oracle import sample_top_down, valid_grasps
 from nerfgrasp.sim import shapes
 from nerfgrasp.sim.attempt import Outcome, attempt_grasp

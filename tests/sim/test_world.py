@@ -6,7 +6,7 @@ import numpy as np
 import pybullet as p
 import pytest
 
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
+from nerfgrasp.grippers import ROBOTIQ_2F85
 from nerfgrasp.scenes.prisms import mass_properties
 from nerfgrasp.sim import shapes
 from nerfgrasp.sim.physics import PHYSICS, physics_hash

@@ -25,8 +25,8 @@ from nerfgrasp.data.packed import PackedScenes
 from nerfgrasp.data.streams import SceneSet
 from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.methods import find_method, load_method, method_hash
+from nerfgrasp.grippers import ROBOTIQ_2F85
 from nerfgrasp.models.folder import from_plain, load_model, save_model, weights_hash
-from nerfgrasp.scenes.gripper import ROBOTIQ_2F85
 from nerfgrasp.scenes.scene import Observations, Workspace
 from nerfgrasp.search.limits import Limits
 from nerfgrasp.search.ranking import grasp_angle
