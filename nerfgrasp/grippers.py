@@ -219,12 +219,14 @@ DEFAULT_GRIPPER = ROBOTIQ_2F85
 """The gripper of the paper and of the shipped models."""
 
 
-def find_gripper(name: str = DEFAULT_GRIPPER.name) -> Gripper:
-    """Returns a gripper by its registered name.
+def find_gripper(name: str | Gripper = DEFAULT_GRIPPER) -> Gripper:
+    """Returns a gripper by its registered name. A gripper is returned as it is.
 
     Raises:
         UserError: no gripper has this name, or a plug-in registers something else under it.
     """
+    if isinstance(name, Gripper):
+        return name
     found = registry.load(registry.GRIPPERS, name)
     if not isinstance(found, Gripper):
         entry = registry.find(registry.GRIPPERS, name)

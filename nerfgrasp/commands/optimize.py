@@ -17,6 +17,7 @@ from nerfgrasp.commands.ranges import check_ranges
 from nerfgrasp.errors import NoGraspError, UserError
 from nerfgrasp.evaluation.methods import method_of
 from nerfgrasp.files import write_json
+from nerfgrasp.grippers import DEFAULT_GRIPPER
 from nerfgrasp.models.folder import DEFAULT_MODEL, find_model
 from nerfgrasp.scenes.arrays import workspace_from_corners
 from nerfgrasp.scenes.folder import read_scene
@@ -220,14 +221,23 @@ def _write(folder: Path, asked: _Search, grasps: Grasps, trace: Trace, data: dic
     renders = method.model.config.renders
     imagined = imagine(method.model, used, scene.workspace, grasps.T_world_grasp[0]) if renders else {}
     write_json(folder / "grasps.json", data, indent=2)
-    picture(used, grasps, imagined_panels(imagined), _facts(grasps, data)).save(folder / "picture.png")
+    picture(used, grasps, DEFAULT_GRIPPER, imagined_panels(imagined), _facts(grasps, data)).save(folder / "picture.png")
     if find_spec("rerun") is None:
         print("rerun is not installed: no optimization.rrd is written")
         return
     from nerfgrasp.viz.recording import PSI, WITH_FEASIBILITY, record_search
 
     judged = PSI if asked.strategy.feasibility is None else WITH_FEASIBILITY
-    record_search(folder / "optimization.rrd", used, scene.workspace, trace, grasps, imagined, judged=judged)
+    record_search(
+        folder / "optimization.rrd",
+        used,
+        scene.workspace,
+        trace,
+        grasps,
+        imagined,
+        gripper=DEFAULT_GRIPPER,
+        judged=judged,
+    )
 
 
 def _facts(grasps: Grasps, data: dict[str, Any]) -> list[str]:

@@ -14,6 +14,7 @@ from nerfgrasp.evaluation.replays import Replay, replay_scene
 from nerfgrasp.evaluation.results import Row, read_results
 from nerfgrasp.evaluation.trials import recorded_pose
 from nerfgrasp.geometry import Camera
+from nerfgrasp.grippers import DEFAULT_GRIPPER
 from nerfgrasp.models.grasp_value import GraspValue
 from nerfgrasp.scenes.images import IMAGE_SIZE
 from nerfgrasp.scenes.scene import Grasps, Truth
@@ -98,7 +99,7 @@ def attempt_picture(shown: Replay, model: GraspValue | None) -> Image.Image:
     if model is not None:
         [imagined] = imagined_panels(imagine_from_grasp(model, seen, workspace, T))
         from_grasp += imagined
-    over = picture(seen, Grasps(T[None], torch.zeros(1)), [from_grasp])
+    over = picture(seen, Grasps(T[None], torch.zeros(1)), DEFAULT_GRIPPER, [from_grasp])
     stages = contact_sheet([film_strip("", shown.frames, close_up(T))], _COLUMNS)
     return stack([[over], [stages]], {0: heading(row)})
 

@@ -16,6 +16,7 @@ from nerfgrasp.commands.ranges import check_ranges
 from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.slices import central_grasp, learned_values, means_by_kind, rank_correlation, true_values
 from nerfgrasp.files import write_json
+from nerfgrasp.grippers import DEFAULT_GRIPPER, find_gripper
 from nerfgrasp.models.folder import DEFAULT_MODEL
 from nerfgrasp.scenes.folder import read_scene
 from nerfgrasp.scenes.oracle import valid_grasps
@@ -56,6 +57,7 @@ def slices(
     turn: float = 90.0,
     seed: int = 0,
     device: str = "cpu",
+    gripper: str = DEFAULT_GRIPPER.name,
     out: Path | None = None,
 ) -> None:
     """Shows models' grasp values beside the negative grasp error, in slices through a valid grasp.
@@ -74,6 +76,7 @@ def slices(
         turn: degrees that rotations go to either side.
         seed: draws the grasp from the valid ones, where the scene has no demonstrated one.
         device: where the models compute: `cpu`, `cuda`, `mps`, or a numbered one, e.g. `cuda:1`.
+        gripper: the hand that the truth is about: a registered gripper or a YAML file.
         out: folder of the results; `SCENE-slices` if not given.
 
     Raises:
@@ -85,7 +88,8 @@ def slices(
     truth = found.truth
     if truth is None:
         raise UserError(f"scene {found.name} is not simulated: without its truth there is no grasp error")
-    valid = valid_grasps(truth.objects)
+    hand = find_gripper(gripper)
+    valid = valid_grasps(truth.objects, hand)
     try:
         grasp, source = central_grasp(truth, valid, found.workspace, seed)
     except UserError as error:
@@ -106,7 +110,7 @@ def slices(
         data = {**header, "note": NOTE, "grasp": grasp_data, **to_json(cuts, true, compared)}
         write_json(results / "slices.json", data, indent=2)
         shown = found.observations.select(slice(max(method.images for method in methods.values())))
-        slice_sheet(shown, grasp, cuts, _rows(cuts, true, compared)).save(results / "slices.png")
+        slice_sheet(shown, grasp, hand, cuts, _rows(cuts, true, compared)).save(results / "slices.png")
     print(f"wrote slices.json, slices.png to {destination}")
 
 

@@ -14,7 +14,7 @@ from nerfgrasp.data.streams import SceneSet, StepDataModule, check_enough
 from nerfgrasp.data.views import Views, read_views
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import make_pose
-from nerfgrasp.grippers import ROBOTIQ_2F85
+from nerfgrasp.grippers import DEFAULT_GRIPPER, find_gripper
 from nerfgrasp.scenes.scene import Workspace
 
 HELD_OUT_SEED = 0
@@ -54,6 +54,8 @@ class Negatives:
     """Radians by which a grasp that cuts the table is tilted about its closing axis at most."""
     most_cut: float = 0.02
     """Metres by which the gripper's lowest point then lies under the table at most."""
+    gripper: str = DEFAULT_GRIPPER.name
+    """The gripper that cuts the table: a registered name or a YAML file."""
 
 
 class GraspBatch(NamedTuple):
@@ -277,7 +279,8 @@ def _cut(grasp: Tensor, workspace: Workspace, negatives: Negatives, generator: n
     tilt = _uniform((count, 1), negatives.most_tilt, generator) * (torch.arange(count) % 2)[:, None]
     tilted = grasp @ make_pose(roma.rotvec_to_rotmat(tilt * torch.tensor([1.0, 0.0, 0.0])), torch.zeros(count, 3))
     depth = torch.from_numpy(generator.uniform(0, negatives.most_cut, count)).float()
-    tilted[:, 2, 3] += workspace.minimum[2] - depth - ROBOTIQ_2F85.lowest(tilted)
+    if count:
+        tilted[:, 2, 3] += workspace.minimum[2] - depth - find_gripper(negatives.gripper).lowest(tilted)
     return tilted
 
 

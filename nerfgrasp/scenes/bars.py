@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nerfgrasp.grippers import ROBOTIQ_2F85, Fingers
+from nerfgrasp.grippers import Fingers
 from nerfgrasp.scenes.prisms import Polygon, Prism
 
 STEP = 0.0005
@@ -54,7 +54,7 @@ class Face:
     """Metres between the sides."""
 
 
-def faces(prism: Prism, fingers: Fingers = ROBOTIQ_2F85.fingers) -> list[Face]:
+def faces(prism: Prism, fingers: Fingers) -> list[Face]:
     """Returns the pairs of parallel sides that fit between `fingers`, of a footprint made of upright rectangles.
 
     Whether the fingers meet something else there is not looked at: it depends on where they come from.
@@ -64,7 +64,7 @@ def faces(prism: Prism, fingers: Fingers = ROBOTIQ_2F85.fingers) -> list[Face]:
     return along_x + [Face(face.start[::-1], face.end[::-1], face.closing[::-1], face.width) for face in along_y]
 
 
-def bars(prism: Prism, fingers: Fingers = ROBOTIQ_2F85.fingers) -> list[Bar]:
+def bars(prism: Prism, fingers: Fingers) -> list[Bar]:
     """Returns the bars of a prism between whose faces `fingers` fit; for the kinds of `Prism.kind`."""
     if prism.kind == "cylinder":
         if 2 * float(np.max(np.linalg.norm(prism.parts[0], axis=1))) > fingers.max_width + 1e-6:

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from nerfgrasp.geometry import make_pose
-from nerfgrasp.grippers import ROBOTIQ_2F85, Fingers
+from nerfgrasp.grippers import DEFAULT_GRIPPER, Gripper
 from nerfgrasp.scenes.objects import SceneObject
 from nerfgrasp.scenes.prisms import Prism
 from nerfgrasp.scenes.stances import MAX_TILT, stances
@@ -45,7 +45,7 @@ class ValidGrasps:
         return self.corner.shape[0]
 
 
-def valid_grasps(objects: Sequence[SceneObject], fingers: Fingers = ROBOTIQ_2F85.fingers) -> ValidGrasps:
+def valid_grasps(objects: Sequence[SceneObject], gripper: Gripper = DEFAULT_GRIPPER) -> ValidGrasps:
     """Returns the valid grasps of the prisms among `objects`, in whatever poses they rest in.
 
     Each prism is looked at alone, above the table z = 0: that another object may be in the gripper's way is for
@@ -56,7 +56,7 @@ def valid_grasps(objects: Sequence[SceneObject], fingers: Fingers = ROBOTIQ_2F85
         (number, stance)
         for number, thing in enumerate(objects)
         if isinstance(thing, Prism)
-        for stance in stances(thing, fingers)
+        for stance in stances(thing, gripper.fingers)
     ]
     rows = [[[*s.corner], [*s.edge_u], [*s.edge_v], [*s.closing]] for _, s in found]
     corner, edge_u, edge_v, closing = torch.tensor(rows, dtype=torch.float32).reshape(-1, 4, 3).unbind(1)

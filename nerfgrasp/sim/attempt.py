@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nerfgrasp.grippers import ROBOTIQ_2F85, Gripper
+from nerfgrasp.grippers import DEFAULT_GRIPPER, Gripper
 from nerfgrasp.scenes.objects import SceneObject
 from nerfgrasp.scenes.oracle import sample_top_down, valid_grasps
 from nerfgrasp.scenes.scene import Truth
@@ -79,7 +79,7 @@ def attempt_grasp(
     T_world_grasp: NDArray[np.floating] | Tensor,
     *,
     physics: Physics = PHYSICS,
-    gripper: Gripper = ROBOTIQ_2F85,
+    gripper: Gripper = DEFAULT_GRIPPER,
     observe: Observer | None = None,
 ) -> Attempt:
     """Carries a grasp out in a world built for it alone and reports how it ended.
@@ -110,24 +110,24 @@ def attempt_grasp(
         return _aftermath(truth, world, verdict)
 
 
-def demonstrate(truth: Truth) -> Tensor | None:
+def demonstrate(truth: Truth, gripper: Gripper = DEFAULT_GRIPPER) -> Tensor | None:
     """Returns `T_world_grasp` `[4, 4]` of a random valid top-down grasp that lifts its object.
 
-    Up to five are drawn, from a random stream of the scene's own, and carried out; None where none lifts.
+    Draws up to five grasps from the scene's own random stream and carries them out. Returns None if none of them lifts.
     """
-    valid = valid_grasps(truth.objects)
+    valid = valid_grasps(truth.objects, gripper)
     if len(valid) == 0:
         return None
     rng = scene_generator(truth.seed, truth.index, _DEMONSTRATION_STREAM)
     generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
     for _ in range(DEMONSTRATION_TRIES):
         grasp = sample_top_down(valid, generator)
-        if attempt_grasp(truth, grasp).outcome == Outcome.SUCCESS:
+        if attempt_grasp(truth, grasp, gripper=gripper).outcome == Outcome.SUCCESS:
             return grasp
     return None
 
 
-def cuts_table(T_world_grasp: NDArray[np.floating] | Tensor, gripper: Gripper = ROBOTIQ_2F85) -> bool:
+def cuts_table(T_world_grasp: NDArray[np.floating] | Tensor, gripper: Gripper) -> bool:
     """Whether any part of the open gripper at a grasp `[4, 4]` lies below the table's top, z = 0."""
     return bool(gripper.lowest(torch.as_tensor(T_world_grasp)) < 0)
 

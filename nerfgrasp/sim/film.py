@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nerfgrasp.grippers import ROBOTIQ_2F85, Gripper
+from nerfgrasp.grippers import DEFAULT_GRIPPER, Gripper
 from nerfgrasp.scenes.prisms import Prism
 from nerfgrasp.scenes.scene import Truth
 from nerfgrasp.sim.attempt import Attempt, attempt_grasp
@@ -38,7 +38,7 @@ def film_grasp(
     T_world_grasp: NDArray[np.floating] | Tensor,
     *,
     physics: Physics = PHYSICS,
-    gripper: Gripper = ROBOTIQ_2F85,
+    gripper: Gripper = DEFAULT_GRIPPER,
 ) -> tuple[Attempt, tuple[Frame, ...]]:
     """Carries a grasp out as `attempt_grasp` does, and returns its stages as well; being seen changes nothing.
 
@@ -64,7 +64,7 @@ def film_grasp(
     return attempt, (*frames, Frame("after", replace(truth, objects=attempt.after)))
 
 
-def gripper_prisms(T_world_grasp: Pose, closed: tuple[float, float], gripper: Gripper = ROBOTIQ_2F85) -> list[Prism]:
+def gripper_prisms(T_world_grasp: Pose, closed: tuple[float, float], gripper: Gripper) -> list[Prism]:
     """Returns the gripper's body and fingers as prisms, to be drawn.
 
     Args:

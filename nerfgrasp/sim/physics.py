@@ -4,7 +4,7 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass, replace
 
-from nerfgrasp.grippers import ROBOTIQ_2F85, Gripper
+from nerfgrasp.grippers import DEFAULT_GRIPPER, Gripper
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ SHAKEN = replace(PHYSICS, shake_distance=0.05)
 """The stricter test: accelerations of up to 8.9 m/s² along each axis before the outcome is judged."""
 
 
-def physics_hash(physics: Physics = PHYSICS, gripper: Gripper = ROBOTIQ_2F85) -> str:
+def physics_hash(physics: Physics = PHYSICS, gripper: Gripper = DEFAULT_GRIPPER) -> str:
     """Returns 16 hexadecimal digits that change with any constant of the physics or of the gripper.
 
     Example:

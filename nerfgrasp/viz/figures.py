@@ -1,4 +1,4 @@
-"""The picture of a result: what the model saw, what it imagines, and the grasp in both."""
+"""The picture of a result: the images that the model saw, those that it renders, and the grasp in both."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ from PIL import Image, ImageDraw
 from torch import Tensor
 
 from nerfgrasp.geometry import Camera
+from nerfgrasp.grippers import Gripper
 from nerfgrasp.scenes.scene import Grasps, Observations
 from nerfgrasp.viz.contact_sheet import CAPTION, FAINT, INK, MARGIN, PAPER, captioned, font, stack
 from nerfgrasp.viz.gripper import draw_gripper
@@ -25,24 +26,29 @@ class Panel:
     camera: Camera
     """Batch shape `[]`, of the image's size."""
     fingers_only: bool = False
-    """Whether of the gripper only the fingers are drawn, where the rest would hide what is between them."""
+    """Whether only the gripper's fingers are drawn, because palm and stem would hide the object."""
 
 
 def picture(
-    observations: Observations, grasps: Grasps, imagined: Sequence[Sequence[Panel]], facts: Sequence[str] = ()
+    observations: Observations,
+    grasps: Grasps,
+    gripper: Gripper,
+    imagined: Sequence[Sequence[Panel]] = (),
+    facts: Sequence[str] = (),
 ) -> Image.Image:
     """Draws the best grasp over the input views (top row) and over imagined ones (the rows below).
 
     Args:
         observations: the views that the search used.
         grasps: best first; only the first is drawn.
+        gripper: the hand to draw.
         imagined: rows of further images, see `nerfgrasp.viz.imagination`.
-        facts: lines of text that stand at the end of the last row, the first one larger.
+        facts: lines of text at the end of the last row, the first one larger.
     """
     images = observations.images.permute(0, 2, 3, 1)
     views = [Panel(f"input view {i + 1}", images[i], observations.camera[i]) for i in range(len(observations))]
     best = grasps.T_world_grasp[0].detach().cpu()
-    rows = [[_render_panel(panel, best) for panel in row] for row in (views, *imagined)]
+    rows = [[_render_panel(panel, best, gripper) for panel in row] for row in (views, *imagined)]
     if facts:
         rows[-1].append(_render_facts(facts, rows[-1][0].height))
     return stack(rows)
@@ -59,9 +65,9 @@ def at_width(rgb: Tensor, width: int) -> Image.Image:
     return to_image(rgb).resize((width, height), Image.Resampling.BICUBIC)
 
 
-def _render_panel(panel: Panel, T_world_grasp: Tensor) -> Image.Image:
+def _render_panel(panel: Panel, T_world_grasp: Tensor, gripper: Gripper) -> Image.Image:
     image, camera = at_width(panel.image, PANEL_WIDTH), panel.camera.to("cpu")
-    drawn = draw_gripper(image, camera, T_world_grasp, fingers_only=panel.fingers_only)
+    drawn = draw_gripper(image, camera, T_world_grasp, gripper, fingers_only=panel.fingers_only)
     return captioned(drawn, panel.title)
 
 

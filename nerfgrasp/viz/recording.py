@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nerfgrasp.geometry import Camera
+from nerfgrasp.grippers import Gripper
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.search.ascent import Trace
 from nerfgrasp.search.ranking import alike, grasp_angle
@@ -39,6 +40,7 @@ def record_search(
     grasps: Grasps,
     imagined: Mapping[str, RenderedView] | None = None,
     *,
+    gripper: Gripper,
     judged: str = PSI,
 ) -> None:
     """Writes a search's climb, and the best grasp found, as an `.rrd` file that opens with its own blueprint.
@@ -50,6 +52,7 @@ def record_search(
         trace: of the candidates' climb, by Ψ; the best `MOST_CANDIDATES` of them are shown.
         grasps: the result, best first.
         imagined: what the model renders, by name, see `nerfgrasp.viz.imagination`.
+        gripper: the hand to draw.
         judged: what the values of `grasps` are; those of the trace are Ψ alone.
     """
     imagined = imagined or {}
@@ -58,8 +61,8 @@ def record_search(
     recording = _start("nerfgrasp_optimize", path, blueprint, workspace, observations, names)
     for name, view in imagined.items():
         _log_view(recording, f"world/{name}", view, static=True)
-    _log_trace(recording, trace, _winner(trace, grasps))
-    winner = gripper_strip(grasps.T_world_grasp[:1]).cpu().numpy()
+    _log_trace(recording, trace, _winner(trace, grasps), gripper)
+    winner = gripper_strip(grasps.T_world_grasp[:1], gripper).cpu().numpy()
     label = f"{judged} {float(grasps.value[0]):.2f}"
     recording.log("world/grasp", rr.LineStrips3D(winner, colors=[_WINNER], radii=[0.004], labels=[label]), static=True)
     _end(recording)
@@ -174,9 +177,9 @@ def _winner(trace: Trace, grasps: Grasps) -> int | None:
     return nearest if bool(alike(ends[nearest], best)) else None
 
 
-def _log_trace(recording: rr.RecordingStream, trace: Trace, winner: int | None) -> None:
+def _log_trace(recording: rr.RecordingStream, trace: Trace, winner: int | None, gripper: Gripper) -> None:
     shown = trace.value[-1].nan_to_num(-torch.inf).topk(min(MOST_CANDIDATES, trace.value.shape[1])).indices
-    strips = gripper_strip(trace.T_world_grasp).detach().cpu()
+    strips = gripper_strip(trace.T_world_grasp, gripper).detach().cpu()
     value = trace.value.detach().cpu()
     colours = _colours(value[:, shown].numpy())
     curves = {"best": value.nan_to_num(-torch.inf).amax(dim=1), "median": value.nanmedian(dim=1).values}

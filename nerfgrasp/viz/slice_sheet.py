@@ -8,6 +8,7 @@ from PIL import Image, ImageDraw
 from torch import Tensor
 
 from nerfgrasp.geometry import Camera, project
+from nerfgrasp.grippers import Gripper
 from nerfgrasp.scenes.scene import Observations
 from nerfgrasp.scenes.slices import Coordinate, Slice
 from nerfgrasp.viz.contact_sheet import Section, contact_sheet
@@ -25,7 +26,11 @@ Captioned = tuple[Tensor, str]
 
 
 def slice_sheet(
-    observations: Observations, T_world_grasp: Tensor, cuts: Sequence[Slice], rows: Mapping[str, Sequence[Captioned]]
+    observations: Observations,
+    T_world_grasp: Tensor,
+    gripper: Gripper,
+    cuts: Sequence[Slice],
+    rows: Mapping[str, Sequence[Captioned]],
 ) -> Image.Image:
     """Draws the input views with the grasp and the first slice's corners, then a row of slices under each heading.
 
@@ -35,12 +40,14 @@ def slice_sheet(
     Args:
         observations: the views to show.
         T_world_grasp: `[4, 4]`.
+        gripper: the hand to draw.
         cuts: the slices, at least one.
         rows: by heading, of each slice its values and caption.
     """
+    cameras = [observations.camera[number] for number in range(len(observations))]
     views = tuple(
-        _view(image, observations.camera[number], T_world_grasp, cuts[0])
-        for number, image in enumerate(observations.images.movedim(1, -1))
+        _view(draw_gripper(at_width(image, VIEW), camera, T_world_grasp, gripper), camera, cuts[0])
+        for image, camera in zip(observations.images.movedim(1, -1), cameras, strict=True)
     )
     above = Section(
         f"input views, the grasp, and the corners of {cuts[0].name}",
@@ -83,9 +90,8 @@ def _tile(cut: Slice, values: Tensor, low: float, high: float) -> Image.Image:
     return image
 
 
-def _view(image: Tensor, camera: Camera, T_world_grasp: Tensor, cut: Slice) -> Image.Image:
-    """Draws the grasp over a view and, of a slice of translations, where its corners lie."""
-    drawn = draw_gripper(at_width(image, VIEW), camera, T_world_grasp)
+def _view(drawn: Image.Image, camera: Camera, cut: Slice) -> Image.Image:
+    """Draws the corners of a slice of translations over a view."""
     if cut.kind != "translation":
         return drawn
     corners = cut.T_world_grasp[[0, 0, -1, -1], [0, -1, -1, 0], :3, 3]

@@ -1,46 +1,40 @@
-"""The method `antipodal`: opposite points of the known surfaces, tried in physics. The ceiling of a novel object.
+"""The method `antipodal`: opposite points of the known surfaces, tried in physics. An upper bound for novel objects.
 
 Source of the criterion: Nguyen 1988, "Constructing force-closure grasps": two contacts with friction hold where
 the line between them lies in both friction cones.
 """
 
 import math
-from typing import ClassVar
 
 import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
 from nerfgrasp.geometry import make_pose
-from nerfgrasp.grippers import ROBOTIQ_2F85
+from nerfgrasp.grippers import Gripper
 from nerfgrasp.scenes.bars import TABLE_CLEARANCE
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.sim.physics import PHYSICS
 from nerfgrasp_baselines.oracle import grasp_score, known_truth
 from nerfgrasp_baselines.surfaces import Surface, has_room, sample_surface
-from nerfgrasp_baselines.trying import first_success
-from nerfgrasp_baselines.untrained import Untrained
+from nerfgrasp_baselines.trying import TriedInPhysics
 
 PAIRS = 256
-"""Opposite points that are looked at closer."""
+"""Maximum number of pairs of opposite points that become grasps."""
 MIN_WIDTH, SLACK = 0.003, 0.004
-"""Metres: the least between two opposite points, and what is left of the stroke at the most."""
+"""Metres: the minimum distance of two opposite points, and the part of the stroke that stays free."""
 TILTS = tuple(math.radians(degrees) for degrees in (0.0, -30.0, 30.0, -60.0, 60.0))
-"""Approaches of each pair: turns about the closing axis, away from the one nearest to straight down."""
+"""Angles about the closing axis, relative to the approach nearest to straight down, at which each pair is tried."""
 STEEPEST = math.radians(75.0)
-"""The most by which an approach may differ from straight down."""
+"""Maximum angle between an approach and straight down."""
 MAX_RAISE = 0.015
-"""Metres by which the hand may be drawn back from the table, so that the points lie lower on its pads."""
+"""Maximum distance in metres by which the hand is drawn back from the table; the points then lie lower on its pads."""
 
 
-class Antipodal(Untrained):
-    """Draws pairs of opposite points, finds the open gripper room, and proposes the first that lifts in physics."""
+class Antipodal(TriedInPhysics):
+    """Draws pairs of opposite points, finds room for the open gripper, and proposes the first grasp that lifts."""
 
-    needs: ClassVar[frozenset[str]] = frozenset({"truth"})
-    """It is told where everything is."""
-
-    def __init__(self, tries: int = 50) -> None:
-        self.tries = tries
+    default_tries = 50
 
     def propose(
         self, observations: Observations, workspace: Workspace, *, generator: torch.Generator, count: int = 1
@@ -52,12 +46,12 @@ class Antipodal(Untrained):
         """
         truth = known_truth(observations, "antipodal")
         surface = sample_surface(truth.objects, generator)
-        T = _raised(_approaches(*_opposite_points(surface, generator)))
-        T = T[has_room(T, surface)]
-        return first_success(truth, T, grasp_score(T, truth.objects), self.tries, count)
+        T = _raised(_approaches(*_opposite_points(surface, self.gripper, generator)), self.gripper)
+        T = T[has_room(T, surface, self.gripper)]
+        return self.first_success(truth, T, grasp_score(T, truth.objects), count)
 
 
-def _opposite_points(surface: Surface, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+def _opposite_points(surface: Surface, gripper: Gripper, generator: torch.Generator) -> tuple[Tensor, Tensor]:
     """Returns up to `PAIRS` pairs `[N, 3]` of points of one object, each in the other's friction cone."""
     line = surface.points[None] - surface.points[:, None]
     width = line.norm(dim=-1)
@@ -65,7 +59,7 @@ def _opposite_points(surface: Surface, generator: torch.Generator) -> tuple[Tens
     # Pushed inwards at both ends: along the line at its start, against it at its end.
     first = -(line * surface.normals[:, None]).sum(-1) >= cosine * width
     second = (line * surface.normals[None]).sum(-1) >= cosine * width
-    fits = (width >= MIN_WIDTH) & (width <= ROBOTIQ_2F85.fingers.stroke - SLACK)
+    fits = (width >= MIN_WIDTH) & (width <= gripper.fingers.stroke - SLACK)
     # No approach across a steeper line is from above.
     fits &= line[..., 2].abs() <= math.sin(STEEPEST) * width
     mine = surface.object[:, None] == surface.object[None]
@@ -86,9 +80,9 @@ def _approaches(a: Tensor, b: Tensor) -> Tensor:
     return T[-T[:, 2, 2] >= math.cos(STEEPEST)]
 
 
-def _raised(T: Tensor) -> Tensor:
-    """Returns grasps drawn back along their approaches until they clear the table; less those too far below it."""
-    lacking = (TABLE_CLEARANCE - ROBOTIQ_2F85.lowest(T)).clamp(min=0.0)
+def _raised(T: Tensor, gripper: Gripper) -> Tensor:
+    """Returns grasps drawn back along their approaches until they clear the table, without those too far below it."""
+    lacking = (TABLE_CLEARANCE - gripper.lowest(T)).clamp(min=0.0)
     back = lacking / -T[:, 2, 2]
     raised = T.clone()
     raised[:, :3, 3] -= back[:, None] * T[:, :3, 2]

@@ -11,7 +11,7 @@ import trimesh
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nerfgrasp.grippers import ROBOTIQ_2F85, Gripper
+from nerfgrasp.grippers import Gripper
 from nerfgrasp.scenes.objects import SceneObject
 from nerfgrasp.scenes.prisms import Prism, mass_properties
 from nerfgrasp.sim.catalogue import model_of
@@ -64,7 +64,7 @@ def centres_of_mass(objects: Sequence[SceneObject]) -> Tensor:
     return torch.stack([T[:3, :3] @ torch.from_numpy(c) + T[:3, 3] for T, c in zip(poses, centres, strict=True)])
 
 
-def has_room(T_world_grasp: Tensor, surface: Surface, gripper: Gripper = ROBOTIQ_2F85) -> Tensor:
+def has_room(T_world_grasp: Tensor, surface: Surface, gripper: Gripper) -> Tensor:
     """Returns a bool `[N]`: whether the open gripper touches nothing at grasps `[N, 4, 4]` nor on its way there."""
     centre, half = torch.tensor(gripper.open_boxes(), dtype=surface.points.dtype).unbind(1)
     low, high = centre - half - MARGIN, centre + half + MARGIN

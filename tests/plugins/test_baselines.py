@@ -15,10 +15,11 @@ from nerfgrasp_baselines.antipodal import Antipodal
 from nerfgrasp_baselines.oracle import Oracle
 from nerfgrasp_baselines.random import Random
 from nerfgrasp_baselines.surfaces import centres_of_mass, has_room, sample_surface
-from nerfgrasp_baselines.trying import first_success
+from nerfgrasp_baselines.trying import TriedInPhysics
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import make_pose
+from nerfgrasp.grippers import ROBOTIQ_2F85, Gripper
 from nerfgrasp.scenes.oracle import grasp_errors, valid_grasps
 from nerfgrasp.scenes.prisms import Polygon, Prism
 from nerfgrasp.scenes.scene import Grasps, Observations, Truth, Workspace
@@ -138,25 +139,37 @@ def test_room_for_the_open_gripper() -> None:
     grasp, beside = make_pose(DOWN, above), make_pose(DOWN, above + torch.tensor([0.025, 0.0, 0.0]))
     both = torch.stack([grasp, beside])
     generator = torch.Generator().manual_seed(0)
-    assert has_room(both, sample_surface((BOX,), generator)).tolist() == [True, False]
+    assert has_room(both, sample_surface((BOX,), generator), ROBOTIQ_2F85).tolist() == [True, False]
     # A finger is 8 mm thick beyond 42.5 mm; the neighbour begins at 40 mm.
-    assert has_room(both, sample_surface((BOX, near), generator)).tolist() == [False, False]
+    assert has_room(both, sample_surface((BOX, near), generator), ROBOTIQ_2F85).tolist() == [False, False]
 
 
 def test_grasps_are_tried_best_first_until_one_lifts(monkeypatch: pytest.MonkeyPatch) -> None:
     tried = []
 
-    def attempt(truth: Truth, T: torch.Tensor) -> Attempt:
+    def attempt(truth: Truth, T: torch.Tensor, *, gripper: Gripper) -> Attempt:
+        assert gripper == ROBOTIQ_2F85
         tried.append(round(T[0, 3].item(), 2))
         return Attempt(Outcome.SUCCESS if tried[-1] == 0.2 else Outcome.SLIPPED)
 
     monkeypatch.setattr(trying, "attempt_grasp", attempt)
     T = make_pose(DOWN.expand(4, 3, 3), torch.tensor([[0.1, 0, 0.1], [0.2, 0, 0.1], [0.3, 0, 0.1], [0.4, 0, 0.1]]))
     truth, score = Truth("simple", 0, 0, (BOX,)), torch.tensor([1.0, 3.0, 4.0, 2.0])
-    grasps = first_success(truth, T, score, tries=3, count=4)
+    grasps = TriedInPhysics(tries=3).first_success(truth, T, score, count=4)
     assert tried == [0.3, 0.2]
     assert grasps.T_world_grasp[:, 0, 3].tolist() == pytest.approx([0.2, 0.4, 0.1, 0.3])
     assert grasps.value.tolist() == [1.0, 0.0, 0.0, -1.0]
     tried.clear()
-    assert first_success(truth, T, -score, tries=2, count=1).T_world_grasp[0, 0, 3].item() == pytest.approx(0.2)
+    [best] = TriedInPhysics(tries=2).first_success(truth, T, -score, count=1).T_world_grasp
+    assert best[0, 3].item() == pytest.approx(0.2)
     assert tried == [0.1, 0.4], "then one that was not tried is the best bet"
+
+
+@pytest.mark.parametrize("method", [Oracle, Antipodal])
+def test_a_method_grasps_with_the_hand_that_it_is_given(method: Any, observe: Callable[..., Observations]) -> None:
+    wide = prism(*shapes.box(0.1, 0.12))  # too wide for all but the 2F-140
+    assert len(propose(method.from_pretrained(gripper="franka"), observe(wide))) == 0
+    found = propose(method.from_pretrained(gripper="robotiq_2f140", tries=5), observe(wide))
+    assert found.value[0] == 1.0
+    with pytest.raises(UserError, match="unknown gripper 'hand'"):
+        method.from_pretrained(gripper="hand")

@@ -7,6 +7,7 @@ import roma
 import torch
 
 from nerfgrasp.geometry import make_pose
+from nerfgrasp.grippers import ROBOTIQ_2F85
 from nerfgrasp.scenes.bars import bars
 from nerfgrasp.scenes.oracle import (
     ValidGrasps,
@@ -16,6 +17,8 @@ from nerfgrasp.scenes.oracle import (
     valid_grasps,
 )
 from nerfgrasp.scenes.prisms import Prism
+
+FINGERS = ROBOTIQ_2F85.fingers
 
 
 def prism(kind, parts, height=0.1, position=(0.0, 0.0, 0.0), yaw=0.0):
@@ -45,20 +48,20 @@ def down_grasp(position, yaw=0.0, tilt=0.0, roll=0.0):
 
 
 def test_box_is_grasped_across_its_narrow_side_only():
-    (bar,) = bars(prism("box", BOX))
+    (bar,) = bars(prism("box", BOX), FINGERS)
     assert bar.closing == (1.0, 0.0)
     assert bar.start == pytest.approx((0.0, -0.04), abs=1e-3)
     assert bar.end == pytest.approx((0.0, 0.04), abs=1e-3)
 
 
 def test_small_box_is_grasped_both_ways_and_a_wide_one_not_at_all():
-    assert len(bars(prism("box", [rectangle(-0.02, -0.03, 0.02, 0.03)]))) == 2
-    assert bars(prism("box", [rectangle(-0.04, -0.04, 0.04, 0.04)])) == []
+    assert len(bars(prism("box", [rectangle(-0.02, -0.03, 0.02, 0.03)]), FINGERS)) == 2
+    assert bars(prism("box", [rectangle(-0.04, -0.04, 0.04, 0.04)]), FINGERS) == []
 
 
 def test_pads_keep_clear_of_the_other_arm_of_an_l():
     arms = [rectangle(0.0, 0.0, 0.09, 0.03), rectangle(0.0, 0.03, 0.03, 0.09)]
-    upright = [bar for bar in bars(prism("l", arms)) if bar.closing == (1.0, 0.0)]
+    upright = [bar for bar in bars(prism("l", arms), FINGERS) if bar.closing == (1.0, 0.0)]
     (arm,) = upright
     assert arm.start[1] == pytest.approx(0.03 + 0.011 + 0.003, abs=1e-3)
     assert arm.end[1] == pytest.approx(0.085, abs=1e-3)
@@ -70,12 +73,12 @@ def test_base_of_a_u_needs_a_gap_as_wide_as_a_finger(gap, count):
     half = gap / 2
     parts = [rectangle(-0.045, 0.0, 0.045, 0.03)]
     parts += [rectangle(-0.045, 0.03, -half, 0.08), rectangle(half, 0.03, 0.045, 0.08)]
-    assert len([bar for bar in bars(prism("u", parts)) if bar.closing == (0.0, 1.0)]) == count
+    assert len([bar for bar in bars(prism("u", parts), FINGERS) if bar.closing == (0.0, 1.0)]) == count
 
 
 def test_equilateral_triangle_is_grasped_from_each_side():
     corners = [(0.03 * math.cos(a), 0.03 * math.sin(a)) for a in (0.0, 2 * math.pi / 3, 4 * math.pi / 3)]
-    found = bars(prism("triangle", [corners]))
+    found = bars(prism("triangle", [corners]), FINGERS)
     assert len(found) == 3
     for bar, vertex in zip(found, (corners[2], corners[0], corners[1]), strict=True):
         middle = [(s + e) / 2 for s, e in zip(bar.start, bar.end, strict=True)]

@@ -60,7 +60,7 @@ def test_box_on_its_side_is_grasped_across_its_height():
 
 def test_too_high_a_box_on_its_broad_side_cannot_be_grasped():
     assert len(valid_grasps([resting("box", (BOX,), 0.08, [0.0, math.pi / 2, 0.0])])) == 0
-    wide = valid_grasps([resting("box", (BOX,), 0.08, [0.0, math.pi / 2, 0.0])], ROBOTIQ_2F140.fingers)
+    wide = valid_grasps([resting("box", (BOX,), 0.08, [0.0, math.pi / 2, 0.0])], ROBOTIQ_2F140)
     assert len(wide) > 0
 
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from nerfgrasp.geometry import make_pose
-from nerfgrasp.grippers import ROBOTIQ_2F140
+from nerfgrasp.grippers import ROBOTIQ_2F85, ROBOTIQ_2F140
 from nerfgrasp.scenes.oracle import grasp_errors, sample_top_down, valid_grasps
 from nerfgrasp.sim import shapes
 from nerfgrasp.sim.attempt import Outcome, attempt_grasp, cuts_table, demonstrate
@@ -43,14 +43,14 @@ def test_palm_on_top_of_the_object_is_a_collision(scene_of, grasp_at):
 
 
 def test_grasp_through_the_table_is_refused(scene_of, grasp_at):
-    assert cuts_table(np.asarray(grasp_at(z=0.018)))
-    assert not cuts_table(np.asarray(grasp_at(z=0.0195)))
+    assert cuts_table(np.asarray(grasp_at(z=0.018)), ROBOTIQ_2F85)
+    assert not cuts_table(np.asarray(grasp_at(z=0.0195)), ROBOTIQ_2F85)
     assert attempt_grasp(scene_of(), grasp_at(z=0.018)).outcome == Outcome.TABLE_COLLISION
 
 
 def test_way_to_the_grasp_through_the_table_is_a_collision(scene_of, grasp_at):
     upwards = make_pose(torch.eye(3), torch.tensor([-0.15, 0.15, 0.16]))
-    assert not cuts_table(np.asarray(upwards))
+    assert not cuts_table(np.asarray(upwards), ROBOTIQ_2F85)
     assert attempt_grasp(scene_of(), upwards).outcome == Outcome.TABLE_COLLISION
 
 

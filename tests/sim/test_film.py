@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from nerfgrasp.geometry import Camera
-from nerfgrasp.grippers import ROBOTIQ_2F85
+from nerfgrasp.grippers import FRANKA
 from nerfgrasp.scenes.scene import Truth
 from nerfgrasp.sim.attempt import Outcome, attempt_grasp
 from nerfgrasp.sim.film import film_grasp, gripper_prisms
@@ -64,7 +64,7 @@ def test_being_watched_changes_nothing(scene_of: Scenes, grasp_at: Grasps) -> No
 
 def test_an_open_gripper_is_its_boxes_where_the_grasp_is(grasp_at: Grasps) -> None:
     T = grasp_at().double().numpy()
-    for prism, (centre, half) in zip(gripper_prisms(T, (0.0, 0.0)), ROBOTIQ_2F85.open_boxes(), strict=True):
+    for prism, (centre, half) in zip(gripper_prisms(T, (0.0, 0.0), FRANKA), FRANKA.open_boxes(), strict=True):
         box = corners(prism)
         middle = T[:3, :3] @ centre + T[:3, 3]
         assert (box.min(axis=0) + box.max(axis=0)) / 2 == pytest.approx(middle, abs=1e-6)

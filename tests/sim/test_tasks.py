@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from nerfgrasp.geometry import project
+from nerfgrasp.grippers import ROBOTIQ_2F85
 from nerfgrasp.scenes.bars import bars
 from nerfgrasp.scenes.prisms import centroid, clear_gap, footprint_in_world
 from nerfgrasp.sim.shapes import RANDOM_FOOTPRINTS
@@ -53,7 +54,7 @@ def test_objects_are_upright_saturated_and_of_the_stated_sizes(scenes):
 def test_every_object_can_be_grasped(kind, scenes):
     mine = [prism for scene in scenes for prism in scene.objects if prism.kind == kind]
     assert mine
-    assert all(bars(prism) for prism in mine)
+    assert all(bars(prism, ROBOTIQ_2F85.fingers) for prism in mine)
     assert all(centroid(prism.parts) == pytest.approx((0.0, 0.0), abs=1e-9) for prism in mine)
 
 

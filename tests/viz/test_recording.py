@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from nerfgrasp.geometry import Camera
+from nerfgrasp.grippers import ROBOTIQ_2F85
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.search import Trace
 from nerfgrasp.viz.renderings import RenderedView
@@ -23,7 +24,7 @@ def path(tmp_path: Path, observations: Observations, grasps: Grasps, camera: Cam
     views = [RenderedView(camera[i], torch.zeros(48, 64, 3), torch.full((48, 64), 0.25), shown) for i in (1, 2)]
     imagined = dict(zip(("imagined", "from_grasp"), views, strict=True))
     file = tmp_path / "optimization.rrd"
-    recording.record_search(file, observations, Workspace(), trace, grasps, imagined)
+    recording.record_search(file, observations, Workspace(), trace, grasps, imagined, gripper=ROBOTIQ_2F85)
     return file
 
 
@@ -72,7 +73,7 @@ def test_a_result_that_was_polished_is_followed_to_where_its_climb_ended(
     climbed = grasps.T_world_grasp.flip(0).clone()
     climbed[:, :3, 3] += 0.004
     trace = Trace(climbed.expand(2, 2, 4, 4), torch.tensor([[0.0, 1.0], [2.0, 3.0]]))
-    recording.record_search(tmp_path / "search.rrd", observations, Workspace(), trace, grasps)
+    recording.record_search(tmp_path / "search.rrd", observations, Workspace(), trace, grasps, gripper=ROBOTIQ_2F85)
     assert read(tmp_path / "search.rrd", "/value/winner", "scalars") == [[1.0], [3.0]]
 
 
@@ -81,7 +82,7 @@ def test_a_result_that_is_no_candidate_is_not_followed(
 ) -> None:
     moved = grasps.T_world_grasp + 0.1
     trace = Trace(moved.expand(2, 2, 4, 4), torch.tensor([[0.0, torch.nan], [1.0, 3.0]]))
-    recording.record_search(tmp_path / "search.rrd", observations, Workspace(), trace, grasps)
+    recording.record_search(tmp_path / "search.rrd", observations, Workspace(), trace, grasps, gripper=ROBOTIQ_2F85)
     assert read(tmp_path / "search.rrd", "/value/winner", "scalars") == []
     assert read(tmp_path / "search.rrd", "/value/best", "scalars") == [[0.0], [3.0]]
     assert read(tmp_path / "search.rrd", "/value/median", "scalars") == [[0.0], [1.0]]
@@ -94,7 +95,9 @@ def test_values_are_called_what_they_are(
     assert read(path, "/world/grasp", "labels") == [[f"Ψ {value}"]]
     trace = Trace(grasps.T_world_grasp.expand(2, 2, 4, 4), torch.zeros(2, 2))
     judged = recording.WITH_FEASIBILITY
-    recording.record_search(tmp_path / "search.rrd", observations, Workspace(), trace, grasps, judged=judged)
+    recording.record_search(
+        tmp_path / "search.rrd", observations, Workspace(), trace, grasps, gripper=ROBOTIQ_2F85, judged=judged
+    )
     assert read(tmp_path / "search.rrd", "/world/grasp", "labels") == [[f"Ψ and feasibility {value}"]]
     assert recording.CURVES_TITLE.startswith("Ψ during the climb (logit")
 

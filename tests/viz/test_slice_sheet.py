@@ -1,6 +1,7 @@
 import numpy as np
 import torch
 
+from nerfgrasp.grippers import ROBOTIQ_2F85
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.scenes.slices import cut_slice
 from nerfgrasp.viz.contact_sheet import CAPTION, HEADING, MARGIN
@@ -13,7 +14,7 @@ def test_rows_lie_under_the_views_bright_where_values_are_high(observations: Obs
     cuts = [cut_slice(T, name, Workspace(), size=4) for name in ("tx-ty", "ty-rz")]
     rising = torch.linspace(0.0, 1.0, 4)[:, None].expand(4, 4).clone()  # upward
     rising[:, 0] = torch.nan
-    sheet = slice_sheet(observations, T, cuts, {"truth": [(rising, "a"), (-rising, "b")]})
+    sheet = slice_sheet(observations, T, ROBOTIQ_2F85, cuts, {"truth": [(rising, "a"), (-rising, "b")]})
     top = HEADING + CAPTION + VIEW * 48 // 64 + MARGIN
     assert sheet.size == (3 * (VIEW + MARGIN) + MARGIN, top + HEADING + CAPTION + TILE + MARGIN)
     left, above = MARGIN + TILE - 8, top + HEADING + CAPTION + 8
@@ -27,7 +28,7 @@ def test_rows_lie_under_the_views_bright_where_values_are_high(observations: Obs
 def test_the_grasp_is_ringed_where_it_lies(observations: Observations, grasps: Grasps) -> None:
     T = grasps.T_world_grasp[1]  # at x = y = 0.1 in a workspace of ±0.25
     cut = cut_slice(T, "tx-ty", Workspace(), size=50, axes="world")
-    plain = np.asarray(slice_sheet(observations.select([0]), T, [cut], {"": [(torch.zeros(50, 50), "")]}))
+    plain = np.asarray(slice_sheet(observations.select([0]), T, ROBOTIQ_2F85, [cut], {"": [(torch.zeros(50, 50), "")]}))
     top = HEADING + CAPTION + VIEW * 48 // 64 + MARGIN + CAPTION
     tile = plain[top : top + TILE, MARGIN : MARGIN + TILE]
     rows, columns = np.nonzero((tile != tile[0, 0]).any(axis=-1))
