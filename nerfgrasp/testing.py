@@ -10,6 +10,7 @@ Each takes what is registered, returns None, and raises a `ConformanceError` tha
 
 import inspect
 import math
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -75,19 +76,14 @@ def check_baseline(method: Any) -> None:
 
 
 def check_gripper(gripper: Any) -> None:
-    """Checks a gripper: an object of the class `nerfgrasp.grippers.Gripper` with sensible dimensions.
+    """Checks a gripper: an object of the class `nerfgrasp.grippers.Gripper`, which checks its own dimensions.
 
     Raises:
-        ConformanceError: it is something else, or its dimensions contradict each other.
+        ConformanceError: it is something else, or its name is not one that results and files can hold.
     """
     _require(isinstance(gripper, Gripper), f"a gripper is an object of the class Gripper, not {gripper!r}")
-    fingers = gripper.fingers
-    sizes = [*vars(fingers).values(), gripper.finger_length, *gripper.body, gripper.body_mass, gripper.finger_mass]
-    _require(all(0 < size < math.inf for size in sizes), "all dimensions and masses are positive and finite")
-    _require(fingers.max_width <= fingers.stroke, "the widest object fits between the open fingers")
-    _require(fingers.pad_height <= gripper.finger_length, "the pads are not higher than the fingers are long")
-    _require(fingers.palm <= -gripper.palm, "an object may reach as far as the palm, not beyond")
-    _require(gripper.setback < fingers.thickness, "the fingers are thicker than their setback")
+    name = gripper.name
+    _require(bool(re.fullmatch(r"[A-Za-z0-9_.-]+", name)), f"letters, digits, _, . and - make up a name, not {name!r}")
 
 
 CHECKS: dict[str, Callable[[Any], None]] = {

@@ -1,6 +1,6 @@
 """Ψ(p, o): the value of a grasp, read from the scene activations of poses around its tool centre point."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor, nn
@@ -70,6 +70,8 @@ class GraspValue(StoredModule):
         if probes is None:
             gripper = find_gripper(config.gripper)
             probes = gripper.probes
+            if gripper.name != config.gripper:  # from a file, which may not be there when the model is loaded
+                config = replace(config, gripper=gripper.name, probes=probes)
         self.config = config
         self.backbone = MVNeRF(config.backbone)
         count, width = self.backbone.fine.activation_count, config.backbone.fine.width

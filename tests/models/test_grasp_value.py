@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,6 +11,7 @@ from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import Camera, invert, make_pose, transform
 from nerfgrasp.grippers import FRANKA, Probes
 from nerfgrasp.models import EncoderConfig, GraspValue, GraspValueConfig, MVNeRFConfig
+from nerfgrasp.models.folder import load_model, save_model
 from nerfgrasp.scenes.scene import Observations, Workspace
 
 
@@ -234,3 +236,18 @@ def test_a_models_probes_are_its_grippers(tiny_network: Callable[..., Any]) -> N
 def test_an_unknown_gripper_is_refused(tiny_network: Callable[..., Any]) -> None:
     with pytest.raises(UserError, match=r"unknown gripper 'frank': did you mean 'franka'\?"):
         GraspValue(GraspValueConfig(tiny_network(), gripper="frank"))
+
+
+def test_a_model_for_a_hand_in_a_file_keeps_its_probes(tiny_network: Callable[..., Any], tmp_path: Path) -> None:
+    path = tmp_path / "hand.yaml"
+    path.write_text(
+        "{name: mine, stroke: 0.1, finger_length: 0.06, finger_thickness: 0.01, pad_width: 0.02, pad_height: 0.03, "
+        "body: [0.1, 0.1, 0.1]}"
+    )
+    model = GraspValue(GraspValueConfig(tiny_network(), gripper=str(path)))
+    path.unlink()
+    assert model.config.gripper == "mine"
+    save_model(tmp_path / "model", model)
+    loaded = load_model(tmp_path / "model")
+    assert loaded.config == model.config
+    assert torch.equal(loaded.rays, model.rays)

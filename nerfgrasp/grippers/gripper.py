@@ -1,4 +1,4 @@
-"""Parallel grippers: the only place that states a hand's dimensions.
+"""A parallel gripper by its dimensions, and the geometry that follows from them.
 
 The grasp frame has its origin at the tool centre point (TCP), which is the middle of the pads. The fingers close along
 x and the hand approaches along z.
@@ -6,18 +6,20 @@ x and the hand approaches along z.
 
 import math
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from nerfgrasp import registry
 from nerfgrasp.errors import UserError
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Centre and half extents in metres."""
 Lines = tuple[Tensor, Tensor]
 """Start points and vectors, `[L, 3]` each, metres in the grasp frame."""
+_SHAPE = ("finger_length", "setback", "body")
+_MAY_BE_ZERO = ("clearance", "setback")
 
 
 @dataclass(frozen=True)
@@ -81,12 +83,34 @@ class Probes:
 
 
 @dataclass(frozen=True)
+class HandModel:
+    """A URDF of a hand, which physics uses in place of boxes."""
+
+    path: Path
+    """The URDF, an absolute path."""
+    finger_joints: tuple[str, str]
+    """Names of the two prismatic joints that move the fingers."""
+    T_base_tcp: tuple[tuple[float, float, float, float], ...]
+    """Pose of the TCP in the frame of the URDF's base link, `4 x 4`, metres."""
+    sha256: str
+    """Hash of the URDF and of the meshes that it names."""
+
+    def settings(self) -> dict[str, Any]:
+        """Returns JSON data that differs between models with different physics. It does not depend on the path."""
+        return {"finger_joints": self.finger_joints, "T_base_tcp": self.T_base_tcp, "sha256": self.sha256}
+
+
+@dataclass(frozen=True)
 class Gripper:
     """A parallel gripper with a box-shaped body and two fingers that slide along the closing axis.
 
     Example:
-        >>> find_gripper("franka").fingers.stroke
-        0.08
+        >>> hand = Gripper("my_hand", "My hand", Fingers(stroke=0.1, max_width=0.09), finger_length=0.06)
+        >>> round(hand.palm, 5)
+        -0.04125
+
+    Raises:
+        UserError: a dimension is out of its range, or two dimensions contradict each other.
     """
 
     name: str
@@ -105,8 +129,27 @@ class Gripper:
     """Mass of the body, kg."""
     finger_mass: float = 0.05
     """Mass of each finger, kg."""
-    measured_probes: Probes | None = None
+    own_probes: Probes | None = None
     """Ψ's probes; None scales the paper's to the gripper's dimensions."""
+    hand_model: HandModel | None = None
+    """A URDF for physics; None builds the hand of boxes."""
+
+    def __post_init__(self) -> None:
+        """Checks the dimensions."""
+        fingers = self.fingers
+        sizes = {**vars(fingers), **{key: getattr(self, key) for key in (*_SHAPE, "body_mass", "finger_mass")}}
+        for key, size in sizes.items():
+            lengths = size if isinstance(size, tuple) else (size,)
+            if not all(0 <= one < math.inf and (one or key in _MAY_BE_ZERO) for one in lengths):
+                raise UserError(f"{key} is {size}: it must be positive and finite")
+        for key, size, limit, name in (
+            ("max_width", fingers.max_width, fingers.stroke, "the stroke"),
+            ("pad_height", fingers.pad_height, self.finger_length, "the finger_length"),
+            ("setback", self.setback, fingers.thickness, "the thickness of a finger"),
+            ("palm", fingers.palm, -self.palm, "the distance from the TCP to the palm"),
+        ):
+            if size > limit + 1e-9:
+                raise UserError(f"{key} is {size}: it must be at most {limit:g}, {name}")
 
     @property
     def max_width(self) -> float:
@@ -126,8 +169,8 @@ class Gripper:
     @property
     def probes(self) -> Probes:
         """Ψ's probes for this gripper."""
-        if self.measured_probes is not None:
-            return self.measured_probes
+        if self.own_probes is not None:
+            return self.own_probes
         paper, mine, reference = Probes(), self.fingers, Fingers()
         stroke = mine.stroke / reference.stroke
         return Probes(
@@ -144,8 +187,9 @@ class Gripper:
 
     def settings(self) -> dict[str, Any]:
         """Returns the measurements that physics depends on as JSON data, for hashes."""
-        shape = ("finger_length", "setback", "body", "body_mass", "finger_mass")
-        return {"name": self.title, "fingers": asdict(self.fingers), **{key: getattr(self, key) for key in shape}}
+        shape = {key: getattr(self, key) for key in (*_SHAPE, "body_mass", "finger_mass")}
+        model = {} if self.hand_model is None else {"hand_model": self.hand_model.settings()}
+        return {"name": self.title, "fingers": asdict(self.fingers), **shape, **model}
 
     def open_boxes(self) -> list[Box]:
         """Returns the open gripper as three boxes in the grasp frame: the body, the finger at -x and the one at +x."""
@@ -191,49 +235,6 @@ class Gripper:
         x = torch.tensor([-half, -half, 0.0, 0.0, 0.0, half, half])
         z = torch.tensor([self.tip, self.palm, self.palm, stem, self.palm, self.palm, self.tip])
         return torch.stack([x, torch.zeros(7), z], dim=-1)
-
-
-ROBOTIQ_2F85 = Gripper("robotiq_2f85", "Robotiq 2F-85")
-"""Dimensions from its manual. The mass, 0.925 kg, is divided between body and fingers."""
-ROBOTIQ_2F140 = Gripper(
-    "robotiq_2f140",
-    "Robotiq 2F-140",
-    Fingers(stroke=0.14, max_width=0.125, thickness=0.012, pad_width=0.027, pad_height=0.065, palm=0.082),
-    finger_length=0.12,
-    body=(0.12, 0.075, 0.091),
-    body_mass=0.925,
-)
-"""Dimensions from its manual: stroke 140 mm, pad 27 x 65 mm, palm to fingertip 120 mm when open, mass 1.025 kg."""
-FRANKA = Gripper(
-    "franka",
-    "Franka Hand",
-    Fingers(stroke=0.08, max_width=0.065, thickness=0.0152, pad_width=0.0175, pad_height=0.0185, palm=0.0325),
-    finger_length=0.047,
-    body=(0.204, 0.063, 0.066),
-    body_mass=0.6544,
-    finger_mass=0.0291,
-)
-"""Stroke, rubber tips (17.5 x 15.2 x 18.5 mm), TCP and masses from franka_description, the maker's URDF: the tips
-end 112.9 mm from the flange. The body is the bounding box of the hand's mesh; its front lies 66 mm from the flange."""
-DEFAULT_GRIPPER = ROBOTIQ_2F85
-"""The gripper of the paper and of the shipped models."""
-
-
-def find_gripper(name: str | Gripper = DEFAULT_GRIPPER) -> Gripper:
-    """Returns a gripper by its registered name. A gripper is returned as it is.
-
-    Raises:
-        UserError: no gripper has this name, or a plug-in registers something else under it.
-    """
-    if isinstance(name, Gripper):
-        return name
-    found = registry.load(registry.GRIPPERS, name)
-    if not isinstance(found, Gripper):
-        entry = registry.find(registry.GRIPPERS, name)
-        raise UserError(
-            f"gripper {name!r} ({entry}) is of type {type(found).__name__}, not Gripper (the plug-in is at fault)"
-        )
-    return found
 
 
 def _approaches(ends: list[tuple[float, float, float]], reach: float) -> Lines:
