@@ -11,7 +11,6 @@ from nerfgrasp.grippers import ROBOTIQ_2F85
 from nerfgrasp.scenes.oracle import sample_top_down, valid_grasps
 from nerfgrasp.sim import shapes
 from nerfgrasp.sim.attempt import Outcome, attempt_grasp
-from nerfgrasp.sim.hand import FINGERS
 from nerfgrasp.sim.physics import PHYSICS
 from nerfgrasp.sim.sanity import perturbed_grasp
 from nerfgrasp.sim.tasks import clutter_scene, simple_scene
@@ -67,8 +66,8 @@ def test_pads_do_not_sink_into_what_they_hold(kind, parts, scene_of):
     def observe(stage, world, hand):
         found = [
             contact[8]
-            for link in FINGERS
-            for contact in p.getContactPoints(hand.body, world.objects[0], link, physicsClientId=world.client)
+            for finger in hand.fingers
+            for contact in p.getContactPoints(hand.body, world.objects[0], finger.link, physicsClientId=world.client)
         ]
         depths[stage] = min(found, default=0.0)
 
