@@ -47,10 +47,13 @@ def test_encoding_by_hand() -> None:
 
 
 def test_the_first_layer_is_one_linear_layer_over_the_concatenation(scene, queries) -> None:
-    field = Field(FieldConfig(width=16, view_blocks=0, fused_blocks=0, position_frequencies=5), 8)
+    # In double precision: the highest frequency multiplies the rounding of a direction by 1600.
+    field = Field(FieldConfig(width=16, view_blocks=0, fused_blocks=0, position_frequencies=5), 8).double()
     features, images, camera = scene
-    points, directions = queries
-    found, _ = field._view_activations(maps(field, scene), points, directions)
+    features, images = features.double(), images.double()
+    camera = Camera(camera.intrinsics.double(), camera.T_world_camera.double(), camera.width, camera.height)
+    points, directions = (part.double() for part in queries)
+    found, _ = field._view_activations(maps(field, (features, images, camera)), points, directions)
 
     weight = torch.cat(
         [
@@ -75,7 +78,7 @@ def test_the_first_layer_is_one_linear_layer_over_the_concatenation(scene, queri
             turned = (directions[b] @ T_camera_world[:3, :3].T)[:, None].expand(-1, 4, -1).flatten(0, 1)
             row = [encode(transform(T_camera_world, flat), 5), encode(turned, 10), *sampled]
             plain = torch.cat(row, dim=-1) @ weight.T + field.point_layer.bias
-            torch.testing.assert_close(found[b, v].flatten(0, 1), plain, atol=1e-5, rtol=1e-5)
+            torch.testing.assert_close(found[b, v].flatten(0, 1), plain, atol=1e-9, rtol=1e-9)
 
 
 def test_the_paper_s_first_layer_has_379_inputs() -> None:

@@ -123,7 +123,8 @@ def test_in_a_shallow_workspace_hands_are_turned_until_they_have_room():
     assert (kept[turned, 2, 3] > SHALLOW.maximum[2] - 1e-4).all()  # no more than it takes: they touch the top
     assert torch.equal(kept[:, :2, 3], drawn[:, :2, 3])
     one = drawn[turned][0]
-    assert torch.equal(LIMITS.enforce(one, SHALLOW), kept[turned][0])
+    # Some processors round a batch in another way than a single pose.
+    torch.testing.assert_close(LIMITS.enforce(one, SHALLOW), kept[turned][0], atol=1e-6, rtol=0)
 
 
 @pytest.mark.parametrize("name", ["quaternion", "screw"])  # decoupled, and a whole transform
