@@ -26,6 +26,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from nerfgrasp.allocator import keep_freed_memory
+from nerfgrasp.methods.psi import ObservedScene, Psi
 from nerfgrasp.models import GraspValue
 from nerfgrasp.models.folder import DEFAULT_MODEL
 from nerfgrasp.scenes.scene import Workspace
@@ -33,7 +34,6 @@ from nerfgrasp.search import PAPER, PoseParameterization, Schedule, random_candi
 from nerfgrasp.search import search as climbing_search
 from nerfgrasp.search.climb import Value
 from nerfgrasp.search.parameterization import load_pose
-from nerfgrasp.search.psi import ObservedScene, Psi
 from nerfgrasp.search.strategies import find_strategy
 from nerfgrasp.sim.tasks import find_task, workspace
 

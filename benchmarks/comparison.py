@@ -23,12 +23,12 @@ from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.statistics import difference_interval, mcnemar, wilson_interval
 from nerfgrasp.evaluation.tables import Table, format_tables
 from nerfgrasp.evaluation.trials import pose_errors
+from nerfgrasp.methods.psi import ObservedScene, Psi
 from nerfgrasp.models import GraspValue
 from nerfgrasp.models.mvnerf import SceneFeatures
 from nerfgrasp.parallel import run_all
 from nerfgrasp.scenes.scene import Grasps, Truth
 from nerfgrasp.search.ascent import Trace
-from nerfgrasp.search.psi import ObservedScene, Psi
 from nerfgrasp.sim.attempt import Outcome, attempt_grasp
 from nerfgrasp.sim.physics import physics_hash
 from nerfgrasp.sim.tasks import find_task

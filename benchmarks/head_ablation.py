@@ -38,8 +38,8 @@ from nerfgrasp.commands.parsing import call
 from nerfgrasp.data.grasps import GraspBatch, GraspData
 from nerfgrasp.data.packed import PackedScenes
 from nerfgrasp.data.views import read_views
+from nerfgrasp.methods.psi import Psi
 from nerfgrasp.models.folder import load_backbone, save_model
-from nerfgrasp.search.psi import Psi
 from nerfgrasp.sim.tasks import find_task
 from nerfgrasp.training import GraspValueTraining
 from nerfgrasp.training.features import FeatureCache

@@ -8,8 +8,8 @@ from search import observe
 from torch import Tensor
 
 from nerfgrasp.evaluation.trials import pose_errors, proposal_generator
+from nerfgrasp.methods.psi import ObservedScene, Psi
 from nerfgrasp.scenes.scene import Grasps, Truth
-from nerfgrasp.search.psi import ObservedScene, Psi
 from nerfgrasp.search.strategies import GUIDED
 from nerfgrasp.sim.attempt import Outcome, attempt_grasp
 from nerfgrasp.sim.tasks import workspace

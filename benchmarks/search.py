@@ -22,9 +22,9 @@ from jsonargparse import auto_cli
 from tqdm import tqdm
 
 from nerfgrasp.allocator import keep_freed_memory
+from nerfgrasp.methods.psi import Psi
 from nerfgrasp.models.folder import DEFAULT_MODEL
 from nerfgrasp.scenes.scene import Observations, Truth
-from nerfgrasp.search.psi import Psi
 from nerfgrasp.search.strategies import DEFAULT_STRATEGY, find_strategy
 from nerfgrasp.sim.tasks import find_task, scene_cameras, workspace
 

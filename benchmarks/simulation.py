@@ -22,6 +22,7 @@ from nerfgrasp.commands.generate import write_slot
 from nerfgrasp.data.packed import PackedWriter
 from nerfgrasp.data.settings import SetSettings
 from nerfgrasp.evaluation.tables import Format, Table, format_tables
+from nerfgrasp.grippers import DEFAULT_GRIPPER
 from nerfgrasp.parallel import run_all
 from nerfgrasp.scenes.scene import Workspace
 from nerfgrasp.sim.attempt import attempt_grasp
@@ -67,8 +68,10 @@ def main(
         settings = SetSettings("simple", seed, scenes, views, size, False, "", "packed", "")
         demonstrated = SetSettings("simple", seed, scenes, views, size, True, physics_hash(), "packed", "")
         attempts = partial(attempt, seed)
-        generated = partial(write_slot, writer(Path(folder, "set"), settings), find_task("simple"))
-        with_grasps = partial(write_slot, writer(Path(folder, "grasps"), demonstrated), find_task("simple"))
+        generated = partial(write_slot, writer(Path(folder, "set"), settings), find_task("simple"), DEFAULT_GRIPPER)
+        with_grasps = partial(
+            write_slot, writer(Path(folder, "grasps"), demonstrated), find_task("simple"), DEFAULT_GRIPPER
+        )
         jobs: dict[str, tuple[Job, int]] = {
             "grasp attempts": (attempts, 1),
             f"{size}x{size} images": (partial(render, seed, views, size), views),

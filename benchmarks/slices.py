@@ -32,11 +32,11 @@ from nerfgrasp.evaluation.slices import (
     rank_correlation,
     true_values,
 )
+from nerfgrasp.methods.psi import Psi
 from nerfgrasp.models.folder import DEFAULT_MODEL
 from nerfgrasp.scenes.oracle import valid_grasps
 from nerfgrasp.scenes.scene import Observations
 from nerfgrasp.scenes.slices import SLICES, Axes, cut_slice
-from nerfgrasp.search.psi import Psi
 from nerfgrasp.sim.tasks import find_task, scene_cameras, workspace
 
 ERRORS = (0.0, 0.1, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0)

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from nerfgrasp.errors import UserError
-    from nerfgrasp.search.finder import GraspFinder
+    from nerfgrasp.methods.finder import GraspFinder
     from nerfgrasp.search.strategies import find_strategy
 
 __version__ = "0.1.0"
 __all__ = ["GraspFinder", "UserError", "__version__", "find_strategy"]
 
 _HOMES = {
-    "GraspFinder": "nerfgrasp.search.finder",
+    "GraspFinder": "nerfgrasp.methods.finder",
     "UserError": "nerfgrasp.errors",
     "find_strategy": "nerfgrasp.search.strategies",
 }

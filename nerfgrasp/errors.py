@@ -27,7 +27,17 @@ def unknown_name(what: str, name: str, choices: Iterable[str]) -> UserError:
         >>> str(unknown_name("pose", "quaternoin", ["matrix", "quaternion"]))
         "unknown pose 'quaternoin': did you mean 'quaternion'? (choices: matrix, quaternion)"
     """
+    return UserError(f"unknown {what} {name!r}: {choices_hint(name, choices)}")
+
+
+def choices_hint(name: str, choices: Iterable[str]) -> str:
+    """Returns the near misses of `name` among `choices`, then all of the choices.
+
+    Example:
+        >>> choices_hint("quaternoin", ["matrix", "quaternion"])
+        "did you mean 'quaternion'? (choices: matrix, quaternion)"
+    """
     known = sorted(choices)
     near = get_close_matches(name, known, n=2)
     hint = f"did you mean {' or '.join(repr(n) for n in near)}? " if near else ""
-    return UserError(f"unknown {what} {name!r}: {hint}(choices: {', '.join(known) or 'none'})")
+    return f"{hint}(choices: {', '.join(known) or 'none'})"

@@ -3,6 +3,8 @@
 Built-ins are declared in the project's own `pyproject.toml` and come through the same door as everyone else's.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
@@ -87,6 +89,45 @@ def load(group: str, name: str) -> Any:
         kind = GROUPS.get(group, group)
         cause = " ".join(f"{type(error).__name__}: {error}".split())
         raise UserError(f"{kind} {name!r} ({entry}) fails to import: {cause}") from error
+
+
+def described(group: str, name: str) -> str:
+    """Returns a plug-in's kind and name with its class, distribution and version, if it is registered.
+
+    Example:
+        >>> described(BASELINES, "psi").partition(" of ")[0]
+        "method 'psi' (nerfgrasp.methods.psi:Psi"
+    """
+    found = [f" ({entry})" for entry in entries(group) if entry.name == name]
+    return f"{GROUPS.get(group, group)} {name!r}{''.join(found)}"
+
+
+@contextmanager
+def blaming(plugin: str, step: str) -> Iterator[None]:
+    """Turns an exception in a plug-in's code into a UserError that names the plug-in.
+
+    `--debug` shows the exception's traceback. A UserError that the plug-in raises passes unchanged.
+
+    Args:
+        plugin: the plug-in, as `described` names it.
+        step: the step that failed, e.g. `scene 3, attempt 0`.
+
+    Raises:
+        UserError: the block raised an exception.
+
+    Example:
+        >>> with blaming("pose 'mine'", "decode"):
+        ...     1 / 0
+        Traceback (most recent call last):
+        nerfgrasp.errors.UserError: pose 'mine', decode: ZeroDivisionError: division by zero (the plug-in is at fault)
+    """
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:  # a plug-in's code may raise anything
+        cause = " ".join(f"{type(error).__name__}: {error}".split())
+        raise UserError(f"{plugin}, {step}: {cause} (the plug-in is at fault)") from error
 
 
 def _read(point: EntryPoint) -> Entry:

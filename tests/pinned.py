@@ -13,8 +13,8 @@ import numpy as np
 import torch
 
 from nerfgrasp import GraspFinder
-from nerfgrasp.evaluation.methods import find_method, load_method, method_hash
 from nerfgrasp.evaluation.trials import Trials, observe, run_scene, scene_hash
+from nerfgrasp.methods.loading import find_method, load_method, method_hash
 from nerfgrasp.models import render_image
 from nerfgrasp.models.folder import load_backbone, load_stored, weights_hash
 from nerfgrasp.scenes.scene import Truth, Workspace
@@ -80,14 +80,14 @@ def grasps(model: str, strategy: str, seed: int, index: int, candidates: int) ->
     seen = observe(draw("simple", seed, index), scene_cameras(seed, index, VIEWS))
     finder = GraspFinder.from_pretrained(model)
     scene = finder.observe_scene(seen, Workspace())
-    found = finder.grasps(scene, 3, schedule=find_strategy(strategy, candidates=candidates), seed=seed)
+    found = finder.grasps(scene, 3, strategy=find_strategy(strategy, candidates=candidates), seed=seed)
     return {"T_world_grasp": found.T_world_grasp.tolist(), "value": found.value.tolist()}
 
 
 def rows(task: str, method: str, seed: int, scenes: int) -> list[dict[str, Any]]:
     """Returns the results of every attempt in the first scenes of a set, one flat dictionary an attempt."""
-    name, folder = find_method(method)
-    trials = Trials(find_task(task), seed, name, folder, method_hash(load_method(name, folder)))
+    spec = find_method(method)
+    trials = Trials(find_task(task), seed, spec, method_hash(load_method(spec)))
     return [asdict(row) for scene in range(scenes) for row, _ in run_scene(trials, scene)]
 
 

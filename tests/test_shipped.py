@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from nerfgrasp.cli import main
-from nerfgrasp.evaluation.methods import find_method, load_method
+from nerfgrasp.methods.loading import find_method, load_method
 from nerfgrasp.models import GraspValue
 from nerfgrasp.models.folder import DEFAULT_MODEL, find_model, load_model, shipped_models
 from nerfgrasp.scenes.folder import read_scene
@@ -19,7 +19,7 @@ def test_the_shipped_models_are_small_and_can_be_tried(model: str) -> None:
     folder = find_model(model)
     assert sum(path.stat().st_size for path in folder.iterdir()) < 8e6
     assert (folder / "README.md").is_file()
-    assert callable(load_method(*find_method(model)).propose)
+    assert callable(load_method(find_method(model)).propose)
 
 
 def test_the_default_model_is_a_grasp_value() -> None:

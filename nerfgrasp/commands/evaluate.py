@@ -1,18 +1,22 @@
 """`nerfgrasp evaluate`: tries a method in the scenes of a task."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
+from nerfgrasp.commands.arguments import with_shorthands
 from nerfgrasp.commands.ranges import check_ranges
+from nerfgrasp.devices import find_device
 from nerfgrasp.errors import UserError
-from nerfgrasp.evaluation.methods import find_method, load_method, method_hash, method_search
 from nerfgrasp.evaluation.parts import Parts
 from nerfgrasp.evaluation.results import Row, Times, read_results
 from nerfgrasp.evaluation.trials import Trials, first_scene_hash, run_scene
+from nerfgrasp.grippers import DEFAULT_GRIPPER, find_gripper
+from nerfgrasp.methods.loading import find_method, load_method, method_hash, method_search, takes_option
 from nerfgrasp.parallel import Cluster, run_all
 from nerfgrasp.scenes.images import IMAGE_SIZE
-from nerfgrasp.search.devices import find_device
 from nerfgrasp.sim.attempt import Outcome
 from nerfgrasp.sim.catalogue import open_catalogue
 from nerfgrasp.sim.tasks import find_task
@@ -25,11 +29,13 @@ def evaluate(
     scenes: int,
     seed: int,
     out: Path,
-    schedule: str | None = None,
+    strategy: str | None = None,
     pose: str | None = None,
+    options: dict[str, Any] | None = None,
     workers: int | None = None,
     cluster: Cluster | None = None,
     device: str | None = None,
+    gripper: str | None = None,
     objects: Path | None = None,
     size: int = IMAGE_SIZE,
 ) -> None:
@@ -45,13 +51,15 @@ def evaluate(
         scenes: how many scenes.
         seed: a set's scenes are the first of an endless sequence that the seed names; take one that was not trained on.
         out: the results file, e.g. `results.jsonl`; compressed if its name ends in `.gz`.
-        schedule: how a method with search schedules is to search, e.g. `paper`; its own way if not given.
-        pose: the registered name of the pose parameterization that a method which climbs is to climb in; its own if not
-            given.
+        strategy: short for `--options.strategy`: the search strategy of a method that searches, e.g. `paper`.
+        pose: short for `--options.pose`: the registered name of the pose parameterization that it ascends in.
+        options: the method's own options, each given as `--options.NAME VALUE`: the keyword parameters of its
+            `from_pretrained`. An option that is not given has the method's own default.
         workers: number of processes; one a core if not given, and one alone on a device other than `cpu`.
         cluster: `ray` tries on a Ray cluster, whose machines all see the model and the objects.
-        device: where a method that takes a device computes: `cpu`, `cuda`, `mps` or e.g. `cuda:1`; its own choice,
-            which is `cpu` for Ψ, if not given.
+        device: short for `--options.device`: where the method computes: `cpu`, `cuda`, `mps` or e.g. `cuda:1`.
+        gripper: the hand that carries grasps out, a registered gripper (`nerfgrasp plugins list`) or a YAML file
+            (docs/grippers.md); also `--options.gripper` of a method that takes one. The Robotiq 2F-85 if not given.
         objects: for `novel`: a folder of URDFs or meshes; the one that NERFGRASP_OBJECTS names if not given, or else
             the objects that come with pybullet.
         size: width and height of a picture in pixels.
@@ -61,25 +69,27 @@ def evaluate(
             be written.
     """
     check_ranges(scenes=scenes, seed=seed, workers=workers, size=size)
-    if device is not None and find_device(device).type != "cpu":
+    spec = find_method(method, **with_shorthands(options, strategy=strategy, pose=pose, device=device))
+    if find_device(spec.options.get("device", "cpu")).type != "cpu":
         workers = workers or 1
+    hand = DEFAULT_GRIPPER if gripper is None else find_gripper(gripper)
+    if gripper is not None and takes_option(spec, "gripper"):
+        spec = replace(spec, options=with_shorthands(spec.options, gripper=gripper))
     found = find_task(task, objects)
-    name, folder = find_method(method)
     out = Path(out)
     if out.is_dir():
         raise UserError(f"cannot write {out}: it is a folder")
-    asked = {"schedule": schedule, "device": device, "pose": pose}
-    loaded = load_method(name, folder, **asked)
+    loaded = load_method(spec)
     catalogue = open_catalogue(objects).sha256 if found.catalogue else None
     hashes = {"model": method_hash(loaded), "catalogue": catalogue, "search": method_search(loaded)}
-    trials = Trials(found, seed, name, folder, size=size, **asked, **hashes)
+    trials = Trials(found, seed, spec, size=size, gripper=hand, **hashes)
     if out.exists():
         tally = Tally(_finished(trials, out, scenes))
         print(f"{out} is already complete: {scenes} scenes")
     else:
         tally = Tally(_run(trials, out, scenes, workers, cluster))
         print(f"wrote {out}")
-    print(f"{name} in {scenes} scenes of {trials.set}: {tally}")
+    print(f"{spec.name} in {scenes} scenes of {trials.set}: {tally}")
 
 
 class Tally:
@@ -132,10 +142,9 @@ def _finished(trials: Trials, out: Path, scenes: int) -> list[Row]:
     """Returns the rows of a results file that is there, if it is the one asked for."""
     rows, settings = read_results(out), trials.settings()
     first = rows[0]
-    pairs = {
-        key: (getattr(first, key), settings[key])
-        for key in ("set", "method", "model", "schedule", "search", "device", "pose", "physics", "versions")
-    }
+    pairs = {"options": (first.options or {}, settings["options"])}
+    for key in ("set", "method", "model", "search", "physics", "versions"):
+        pairs[key] = (getattr(first, key), settings[key])
     pairs["scenes"] = (len({row.scene for row in rows}), scenes)
     pairs["scene_sha256"] = (first.scene_sha256, first_scene_hash(trials))
     for key, (there, asked) in pairs.items():

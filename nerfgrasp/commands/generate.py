@@ -10,6 +10,7 @@ from nerfgrasp.data.folders import FolderWriter
 from nerfgrasp.data.packed import PackedWriter
 from nerfgrasp.data.settings import SetSettings
 from nerfgrasp.errors import UserError, unknown_name
+from nerfgrasp.grippers import DEFAULT_GRIPPER, Gripper, find_gripper
 from nerfgrasp.parallel import Cluster, run_all
 from nerfgrasp.scenes.images import IMAGE_SIZE
 from nerfgrasp.scenes.scene import Workspace
@@ -34,6 +35,7 @@ def generate(
     objects: Path | None = None,
     format: Literal["packed", "folders"] = "packed",
     depth: bool = False,
+    gripper: str | None = None,
 ) -> None:
     """Generates a set of simulated scenes: images from known cameras, the truth and, if asked for, a grasp each.
 
@@ -55,12 +57,14 @@ def generate(
         format: `packed` for training, or `folders`, one scene folder each.
         depth: whether to keep the images' depth, for methods that need it; in packed sets alone. The rest of the set
             stays the same.
+        gripper: the hand that demonstrates grasps: a registered gripper (`nerfgrasp plugins list`) or a YAML file
+            (docs/grippers.md); the Robotiq 2F-85 if not given.
 
     Raises:
         UserError: a value is out of range, or `out` holds another set or cannot be written.
     """
     from nerfgrasp.sim.catalogue import open_catalogue
-    from nerfgrasp.sim.physics import physics_hash
+    from nerfgrasp.sim.physics import PHYSICS, physics_hash
     from nerfgrasp.sim.tasks import find_task
 
     check_ranges(scenes=scenes, views=views, seed=seed, size=size, workers=workers)
@@ -70,7 +74,8 @@ def generate(
         raise UserError(f"depth is kept in packed sets alone, not in {format}")
     found = find_task(task, objects)
     # Simple scenes are drawn, not settled: without demonstrations nothing in them depends on physics.
-    physics = physics_hash() if demonstrations or task != "simple" else ""
+    hand = DEFAULT_GRIPPER if gripper is None or not demonstrations else find_gripper(gripper)
+    physics = physics_hash(PHYSICS, hand) if demonstrations or task != "simple" else ""
     catalogue = open_catalogue(objects).sha256 if found.catalogue else ""
     settings = SetSettings(task, seed, scenes, views, size, demonstrations, physics, format, catalogue, depth)
     writer = WRITERS[format](Path(out), settings)
@@ -78,13 +83,13 @@ def generate(
     if not writer.missing():
         print(f"{out} is already complete: {scenes} scenes")
         return
-    job = partial(write_slot, writer, found)
+    job = partial(write_slot, writer, found, hand)
     run_all(job, writer.missing, scenes, workers=workers, cluster=cluster, describe="generate", unit="scene")
     writer.clear()  # where a worker was lost, others were killed beside it
     _report(writer)
 
 
-def write_slot(writer: PackedWriter | FolderWriter, task: "Task", index: int) -> None:
+def write_slot(writer: PackedWriter | FolderWriter, task: "Task", gripper: Gripper, index: int) -> None:
     """Draws, renders and writes scene `index` of a set; a pure function of the set's settings and `index`."""
     from nerfgrasp.sim.rendering import render_scene
     from nerfgrasp.sim.tasks import scene_cameras
@@ -100,7 +105,7 @@ def write_slot(writer: PackedWriter | FolderWriter, task: "Task", index: int) ->
     if settings.demonstrations:
         from nerfgrasp.sim.attempt import demonstrate
 
-        truth = replace(truth, demonstration=demonstrate(truth))
+        truth = replace(truth, demonstration=demonstrate(truth, gripper))
     writer.write(index, images, masks, camera, truth, depth)
 
 

@@ -14,10 +14,12 @@ from torch import Tensor
 from nerfgrasp import __version__, registry
 from nerfgrasp.commands.publishing import publishing
 from nerfgrasp.commands.ranges import check_ranges
+from nerfgrasp.devices import find_device
 from nerfgrasp.errors import NoGraspError, UserError
-from nerfgrasp.evaluation.methods import method_of
 from nerfgrasp.files import write_json
-from nerfgrasp.grippers import DEFAULT_GRIPPER
+from nerfgrasp.grippers import DEFAULT_GRIPPER, Gripper, find_gripper
+from nerfgrasp.methods.loading import method_of
+from nerfgrasp.methods.psi import Psi
 from nerfgrasp.models.folder import DEFAULT_MODEL, find_model
 from nerfgrasp.scenes.arrays import workspace_from_corners
 from nerfgrasp.scenes.folder import read_scene
@@ -25,9 +27,7 @@ from nerfgrasp.scenes.scene import Grasps, Scene, Workspace
 from nerfgrasp.scenes.shipped import find_scene
 from nerfgrasp.scenes.truth import workspace_to_json
 from nerfgrasp.search.ascent import Trace
-from nerfgrasp.search.devices import find_device
 from nerfgrasp.search.parameterization import DEFAULT_POSE, load_pose
-from nerfgrasp.search.psi import Psi
 from nerfgrasp.search.ranking import distinct
 from nerfgrasp.search.strategies import DEFAULT_STRATEGY, Strategy, find_strategy
 from nerfgrasp.viz.figures import picture
@@ -41,7 +41,7 @@ def optimize(
     scene: str,
     *,
     model: str = DEFAULT_MODEL,
-    schedule: str = DEFAULT_STRATEGY,
+    strategy: str = DEFAULT_STRATEGY,
     pose: str = DEFAULT_POSE,
     candidates: int | None = None,
     keep: int | None = None,
@@ -49,6 +49,7 @@ def optimize(
     clearance: float | None = None,
     workspace: list[float] | None = None,
     device: str = "cpu",
+    gripper: str | None = None,
     seed: int = 0,
     out: Path | None = None,
     execute: bool = False,
@@ -63,16 +64,18 @@ def optimize(
     Args:
         scene: a scene's folder, or the name of a shipped one, e.g. `demo`.
         model: a model's folder, a Hugging Face repository id, or the name of a shipped one.
-        schedule: how to search: `guided`, `resample`, `alone`, `joint`, `prune`, `paper` (the paper's Algorithm 1), or
+        strategy: how to search: `guided`, `resample`, `alone`, `joint`, `prune`, `paper` (the paper's Algorithm 1), or
             `halving`; see docs/search.md.
         pose: the registered name of the pose parameterization to climb in.
-        candidates: how many random poses are drawn; the schedule's own number if not given.
-        keep: how many of them, the best, go on; the schedule's own number if not given.
+        candidates: how many random poses are drawn; the strategy's own number if not given.
+        keep: how many of them, the best, go on; the strategy's own number if not given.
         max_tilt: by how much an approach may differ from straight down at most, degrees; 180 for any.
         clearance: to keep free between the open gripper and the table, metres.
         workspace: where to search in place of the scene's own box: `[x, y, z, x, y, z]`, its lower and its upper
             corner in metres; the lower face is the table.
         device: where to search: `cpu`, `cuda`, `mps`, or a numbered one, e.g. `cuda:1`.
+        gripper: the hand that grasps: a registered gripper (`nerfgrasp plugins list`) or a YAML file
+            (docs/grippers.md); the Robotiq 2F-85 if not given.
         seed: the same seed finds the same grasps.
         out: folder of the results; `SCENE-grasp` if not given.
         execute: carry the best grasp out in physics; for simulated scenes.
@@ -87,21 +90,22 @@ def optimize(
         NoGraspError: no grasp is worth `least_value`.
     """
     check_ranges(count=count, seed=seed, images=images)
-    strategy = find_strategy(schedule, candidates=candidates, keep=keep, max_tilt=max_tilt, clearance=clearance)
+    chosen = find_strategy(strategy, candidates=candidates, keep=keep, max_tilt=max_tilt, clearance=clearance)
+    hand = DEFAULT_GRIPPER if gripper is None else find_gripper(gripper)
     find_device(device)
     found = read_scene(find_scene(scene))
     found = found if workspace is None else replace(found, workspace=_box(workspace))
     load_pose(pose, found.workspace)
-    attempt = _attempt_in_physics(found) if execute else None
+    attempt = _attempt_in_physics(found, hand) if execute else None
     folder = find_model(model)
     destination = Path(f"{found.name}-grasp") if out is None else Path(out)
     with publishing(destination) as results:
-        method = _load_method(model, folder, device, images)
+        method = _load_method(model, folder, device=device, images=images, gripper=hand)
         if least_value is not None:
             method.check_least(least_value)
-        asked = _Search(found, model, method, method.resolve(strategy), pose, seed, count, attempt, least_value)
-        if asked.strategy.name != schedule:
-            print(f"the model never learned to render, so {schedule} cannot guide its search", flush=True)
+        asked = _Search(found, model, method, method.resolve(chosen), pose, seed, count, attempt, least_value)
+        if asked.strategy.name != strategy:
+            print(f"the model never learned to render, so {strategy} cannot guide its search", flush=True)
         _search_and_write(asked, results)
         written = [path.name for path in sorted(results.iterdir())]
     print(f"wrote {', '.join(written)} to {destination}")
@@ -135,6 +139,7 @@ def _search_and_write(asked: _Search, folder: Path) -> None:
     grasps = _worth(asked, distinct(climbed.to("cpu"), count=asked.count))
     print("\n".join(table(grasps)), flush=True)
     settings = {"scene": scene.name, "model": asked.model, "pose": asked.pose, "seed": asked.seed}
+    settings["gripper"] = method.gripper.name
     settings |= {**strategy.settings(), "workspace": workspace_to_json(scene.workspace)}
     data = to_json(grasps, settings)
     if asked.attempt is not None:
@@ -196,23 +201,23 @@ def _box(numbers: list[float]) -> Workspace:
     return workspace_from_corners(numbers[:3], numbers[3:])
 
 
-def _load_method(name: str, folder: Path, device: str, images: int | None) -> Psi:
+def _load_method(name: str, folder: Path, **options: Any) -> Psi:
     """Loads a model by the method that its folder names."""
     method = method_of(folder, name)
     kind = registry.load(registry.BASELINES, method)
     if not (isinstance(kind, type) and issubclass(kind, Psi)):
         raise UserError(f"model {name}: its method {method!r} does not search by gradient ascent")
-    return kind.from_pretrained(str(folder), device=device, images=images)
+    return kind.from_pretrained(str(folder), **options)
 
 
-def _attempt_in_physics(scene: Scene) -> Callable[[Tensor], str]:
+def _attempt_in_physics(scene: Scene, gripper: Gripper) -> Callable[[Tensor], str]:
     """Returns what carries a grasp `[4, 4]` out and names the outcome; fails before the search if it cannot."""
     truth = scene.truth
     if truth is None:
         raise UserError(f"scene {scene.name}: --execute needs a simulated scene, which says what it is made of")
     from nerfgrasp.sim.attempt import attempt_grasp
 
-    return lambda T_world_grasp: str(attempt_grasp(truth, T_world_grasp).outcome)
+    return lambda T_world_grasp: str(attempt_grasp(truth, T_world_grasp, gripper=gripper).outcome)
 
 
 def _write(folder: Path, asked: _Search, grasps: Grasps, trace: Trace, data: dict[str, Any]) -> None:
@@ -221,7 +226,7 @@ def _write(folder: Path, asked: _Search, grasps: Grasps, trace: Trace, data: dic
     renders = method.model.config.renders
     imagined = imagine(method.model, used, scene.workspace, grasps.T_world_grasp[0]) if renders else {}
     write_json(folder / "grasps.json", data, indent=2)
-    picture(used, grasps, DEFAULT_GRIPPER, imagined_panels(imagined), _facts(grasps, data)).save(folder / "picture.png")
+    picture(used, grasps, method.gripper, imagined_panels(imagined), _facts(grasps, data)).save(folder / "picture.png")
     if find_spec("rerun") is None:
         print("rerun is not installed: no optimization.rrd is written")
         return
@@ -235,7 +240,7 @@ def _write(folder: Path, asked: _Search, grasps: Grasps, trace: Trace, data: dic
         trace,
         grasps,
         imagined,
-        gripper=DEFAULT_GRIPPER,
+        gripper=method.gripper,
         judged=judged,
     )
 

@@ -43,8 +43,23 @@ def call(function: Callable[..., Any], args: list[str], *, prog: str) -> Any:
     Raises:
         UserError: the arguments or a `--config` do not fit the signature.
     """
-    given = _lists_gathered(function, flags_set(function, args))
+    given = _lists_gathered(function, flags_set(function, renamed(args)))
     return auto_cli(function, args=given, as_positional=False, parser_class=Parser, prog=prog)
+
+
+ALIASES = {"--schedule": "--strategy"}
+"""Former names of options, which are accepted for one release."""
+
+
+def renamed(args: list[str]) -> list[str]:
+    """Returns the arguments with the present names of options in place of former ones.
+
+    Example:
+        >>> renamed(["--schedule=paper", "--seed", "1"])
+        ['--strategy=paper', '--seed', '1']
+    """
+    pairs = [argument.partition("=") for argument in args]
+    return [f"{ALIASES.get(option, option)}{joined}{value}" for option, joined, value in pairs]
 
 
 def flags_set(function: Callable[..., Any], args: list[str]) -> list[str]:

@@ -13,7 +13,7 @@ from nerfgrasp import registry
 from nerfgrasp.commands.configs import read_configs
 from nerfgrasp.commands.stages import Stage
 from nerfgrasp.errors import UserError, unknown_name
-from nerfgrasp.evaluation.methods import find_method, load_method, method_hash
+from nerfgrasp.methods.loading import find_method, load_method, method_hash
 from nerfgrasp.models.folder import shipped_models
 
 Scale = Literal["laptop", "paper"]
@@ -123,8 +123,8 @@ class _Row:
     """What it is called in the table."""
     model: str | None = None
     """What `evaluate` takes; None if it is trained first."""
-    schedule: str | None = None
-    """How it is to search; None for its own way."""
+    strategy: str | None = None
+    """The search strategy; None for the method's own."""
 
 
 def _row(experiment: Experiment, name: str) -> _Row:
@@ -142,8 +142,8 @@ def _check_rows(rows: list[_Row]) -> None:
     known: dict[tuple[str | None, ...], str] = {}
     for row in rows:
         if row.model is not None:
-            method, folder = find_method(row.model)
-            identity = method, method_hash(load_method(method, folder, schedule=row.schedule)), row.schedule
+            spec = find_method(row.model, strategy=row.strategy)
+            identity = spec.name, method_hash(load_method(spec)), row.strategy
             if identity in known:
                 raise UserError(f"methods: {known[identity]} and {row.name} are the same model: give one of them")
             known[identity] = row.name
@@ -155,11 +155,11 @@ def _other(name: str) -> _Row:
     if separator:
         if re.fullmatch(r"[\w.+-]+", label) is None:
             raise UserError(f"methods: {name}: a name is of letters, digits and any of . + - _")
-        schedule = None
+        strategy = None
         if not Path(model).is_dir() and "@" in model:
-            model, _, schedule = model.rpartition("@")
+            model, _, strategy = model.rpartition("@")
         find_method(model)
-        return _Row(name, label, label, str(Path(model).resolve()) if Path(model).is_dir() else model, schedule)
+        return _Row(name, label, label, str(Path(model).resolve()) if Path(model).is_dir() else model, strategy)
     registered = registry.names(registry.BASELINES)
     if name not in registered:
         raise unknown_name("method", name, [*LEARNED, *registered])
@@ -251,8 +251,8 @@ def _trials(experiment: Experiment, row: _Row, *needs: str) -> list[Stage]:
 
 def _trial(experiment: Experiment, row: _Row, task: str, count: int, *needs: str) -> Stage:
     options = {"task": task, "method": row.model, "scenes": count, "seed": SCENE_SEED, "size": SIZES[experiment.scale]}
-    if row.schedule is not None:
-        options["schedule"] = row.schedule
+    if row.strategy is not None:
+        options["strategy"] = row.strategy
     if task == "novel" and experiment.objects is not None:
         options["objects"] = str(experiment.objects)
     options["out"] = f"results/{task}-{row.key}.jsonl"

@@ -16,6 +16,7 @@ from tqdm import tqdm
 
 from nerfgrasp import __version__
 from nerfgrasp.commands.publishing import publishing
+from nerfgrasp.devices import find_device
 from nerfgrasp.errors import UserError
 from nerfgrasp.files import write_json
 from nerfgrasp.geometry import Camera, shrink
@@ -25,7 +26,6 @@ from nerfgrasp.models.scores import LPIPS_LEAST_SIDE, image_scores, load_lpips
 from nerfgrasp.scenes.folder import read_scene
 from nerfgrasp.scenes.scene import Observations, Scene
 from nerfgrasp.scenes.shipped import find_scene
-from nerfgrasp.search.devices import find_device
 from nerfgrasp.viz.imagination import full_orbit
 from nerfgrasp.viz.rendering_sheet import animation, orbit_sheet, views_sheet
 from nerfgrasp.viz.renderings import RenderedView, render_views

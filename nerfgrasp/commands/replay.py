@@ -6,19 +6,19 @@ from pathlib import Path
 import torch
 from PIL import Image
 
+from nerfgrasp import registry
 from nerfgrasp.commands.publishing import publishing
 from nerfgrasp.commands.ranges import check_ranges
 from nerfgrasp.errors import UserError
-from nerfgrasp.evaluation.methods import find_method, load_method, method_hash
 from nerfgrasp.evaluation.replays import Replay, replay_scene
 from nerfgrasp.evaluation.results import Row, read_results
 from nerfgrasp.evaluation.trials import recorded_pose
 from nerfgrasp.geometry import Camera
-from nerfgrasp.grippers import DEFAULT_GRIPPER
+from nerfgrasp.grippers import DEFAULT_GRIPPER, Gripper, find_gripper
+from nerfgrasp.methods.loading import find_method, load_method, method_hash, rendering_model
 from nerfgrasp.models.grasp_value import GraspValue
 from nerfgrasp.scenes.images import IMAGE_SIZE
 from nerfgrasp.scenes.scene import Grasps, Truth
-from nerfgrasp.search.psi import Psi
 from nerfgrasp.sim.attempt import Outcome
 from nerfgrasp.sim.rendering import render_scene
 from nerfgrasp.sim.tasks import find_task, workspace
@@ -37,6 +37,7 @@ def replay(
     scene: int | None = None,
     count: int = 5,
     model: str | None = None,
+    gripper: str | None = None,
     objects: Path | None = None,
     size: int = IMAGE_SIZE,
     out: Path | None = None,
@@ -52,6 +53,7 @@ def replay(
         scene: the number of the scene whose attempts are shown, successes too; the first failures if not given.
         count: how many failures are shown at most.
         model: the model's folder or shipped name, for what it imagines; nothing is imagined if not given.
+        gripper: the hand that carried the grasps out, where it is not a registered one: its YAML file.
         objects: the folder of the novel objects, as for `evaluate`.
         size: width and height of the pictures in pixels, as `evaluate` was given.
         out: folder of the pictures; RESULTS-replay if not given.
@@ -63,6 +65,7 @@ def replay(
     check_ranges(scene=scene, count=count, size=size)
     rows = read_results(results)
     chosen = _choose(rows, results, scene, count)
+    hand = _find_hand(rows[0], gripper)
     task = find_task(rows[0].task, objects)
     value = None if model is None else _load_value(model, rows[0])
     name = results.name.removesuffix(".gz").removesuffix(".jsonl")
@@ -71,11 +74,11 @@ def replay(
         for number in dict.fromkeys(row.scene for row in chosen):
             mine = [row for row in rows if row.scene == number]
             last = max(row.attempt for row in chosen if row.scene == number)
-            for shown in replay_scene(task, mine[: last + 1], size):
+            for shown in replay_scene(task, mine[: last + 1], size, hand):
                 if shown.row in chosen:
                     print(heading(shown.row), flush=True)
                     file = f"scene-{number:06d}-attempt-{shown.row.attempt}.png"
-                    attempt_picture(shown, value).save(folder / file)
+                    attempt_picture(shown, value, hand).save(folder / file)
     print(f"wrote {len(chosen)} pictures to {destination}")
 
 
@@ -89,7 +92,7 @@ def heading(row: Row) -> str:
     return "; ".join(parts)
 
 
-def attempt_picture(shown: Replay, model: GraspValue | None) -> Image.Image:
+def attempt_picture(shown: Replay, model: GraspValue | None, gripper: Gripper = DEFAULT_GRIPPER) -> Image.Image:
     """Draws one attempt: the images with the grasp, the scene and what the model imagines from it, and its stages."""
     row, seen = shown.row, shown.observations
     if row.grasp is None:
@@ -99,7 +102,7 @@ def attempt_picture(shown: Replay, model: GraspValue | None) -> Image.Image:
     if model is not None:
         [imagined] = imagined_panels(imagine_from_grasp(model, seen, workspace, T))
         from_grasp += imagined
-    over = picture(seen, Grasps(T[None], torch.zeros(1)), DEFAULT_GRIPPER, [from_grasp])
+    over = picture(seen, Grasps(T[None], torch.zeros(1)), gripper, [from_grasp])
     stages = contact_sheet([film_strip("", shown.frames, close_up(T))], _COLUMNS)
     return stack([[over], [stages]], {0: heading(row)})
 
@@ -121,15 +124,23 @@ def _choose(rows: Sequence[Row], results: Path, scene: int | None, count: int) -
     return chosen
 
 
+def _find_hand(row: Row, gripper: str | None) -> Gripper:
+    """Returns the hand of the results: a registered one by its name in the row, or the YAML file that was given."""
+    if gripper is None and row.gripper is not None and row.gripper not in registry.names(registry.GRIPPERS):
+        raise UserError(f"the results are of the gripper {row.gripper!r}, which is not registered: give its YAML file")
+    return find_gripper(gripper or row.gripper or DEFAULT_GRIPPER)
+
+
 def _load_value(name: str, row: Row) -> GraspValue:
     """Returns the grasp value that made the results, which can render.
 
     Raises:
         UserError: it is another model, or renders nothing.
     """
-    method = load_method(*find_method(name))
-    if not isinstance(method, Psi) or not method.model.config.renders:
+    method = load_method(find_method(name))
+    found = rendering_model(method)
+    if found is None:
         raise UserError(f"model {name} renders nothing: leave --model out")
     if method_hash(method) != row.model:
         raise UserError(f"model {name} is {method_hash(method)}, the results are of {row.model or 'no model'}")
-    return method.model
+    return found

@@ -13,10 +13,12 @@ from tqdm import tqdm
 from nerfgrasp import __version__
 from nerfgrasp.commands.publishing import publishing
 from nerfgrasp.commands.ranges import check_ranges
+from nerfgrasp.devices import find_device
 from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.slices import central_grasp, learned_values, means_by_kind, rank_correlation, true_values
 from nerfgrasp.files import write_json
 from nerfgrasp.grippers import DEFAULT_GRIPPER, find_gripper
+from nerfgrasp.methods.psi import Psi
 from nerfgrasp.models.folder import DEFAULT_MODEL
 from nerfgrasp.scenes.folder import read_scene
 from nerfgrasp.scenes.oracle import valid_grasps
@@ -24,8 +26,6 @@ from nerfgrasp.scenes.scene import Scene
 from nerfgrasp.scenes.shipped import find_scene
 from nerfgrasp.scenes.slices import SLICES, Axes, Slice, cut_slice
 from nerfgrasp.scenes.truth import tensor_to_json
-from nerfgrasp.search.devices import find_device
-from nerfgrasp.search.psi import Psi
 from nerfgrasp.viz.slice_sheet import slice_sheet, spans
 
 NOTE = (

@@ -16,8 +16,10 @@ from nerfgrasp.errors import UserError
 from nerfgrasp.files import replacing
 
 FORMAT_VERSION = 1
-_OPTIONAL = ("schedule", "search", "device", "pose")
+_OPTIONAL = ("search", "options", "gripper")
 """Fields that a line leaves out where they are None."""
+_OLD_OPTIONS = {"schedule": "strategy", "device": "device", "pose": "pose"}
+"""Options that older lines hold as fields of their own, with their names today."""
 COMPRESSED = ".gz"
 Line = TypeVar("Line", "Row", "Times")
 
@@ -62,15 +64,13 @@ class Row:
     """`distance_mm` and `angle_deg` to the nearest valid grasp; None where the valid grasps are not known."""
     versions: dict[str, str]
     """Of `nerfgrasp`, `torch` and `pybullet`."""
-    schedule: str | None = None
-    """The search schedule that was asked for; lines of a method's own way do not name it."""
     search: str | None = None
-    """Name and hash of the search that was run, e.g. `guided-0123456789abcdef`; lines of a method that has none, and
-    those written before there was a hash, do not hold it."""
-    device: str | None = None
-    """Where the method was asked to compute, which changes values in their last digits; not held where nobody did."""
-    pose: str | None = None
-    """The pose parameterization that was asked for; not held where nobody did."""
+    """Name and hash of the method's search strategy, e.g. `guided-0123456789abcdef`; None for a method without one, and
+    in files that are older than the hash."""
+    gripper: str | None = None
+    """The name of the hand that carried the grasp out; None for the default one."""
+    options: dict[str, Any] | None = None
+    """The method's options that were given, e.g. `{"strategy": "paper"}`; None if none were."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,9 @@ def row_from_json(data: Any) -> Row:
         raise ValueError("it is not a JSON object")
     if data.get("format") != FORMAT_VERSION:
         raise ValueError(f"format {data.get('format')!r}, this program reads {FORMAT_VERSION}")
-    return _from_json(Row, {key: value for key, value in data.items() if key != "format"})
+    fields = {key: value for key, value in data.items() if key != "format"}
+    options = {name: fields.pop(key) for key, name in _OLD_OPTIONS.items() if key in fields}
+    return _from_json(Row, fields | ({"options": options} if options else {}))
 
 
 def times_from_json(data: Any) -> Times:
@@ -202,6 +204,7 @@ _CHECKS: dict[Any, Callable[[Any], bool]] = {
     float | None: lambda v: v is None or type(v) in (int, float),
     tuple[str, ...]: lambda v: isinstance(v, list) and all(isinstance(one, str) for one in v),
     tuple[int, ...]: lambda v: isinstance(v, list) and all(type(one) is int for one in v),
+    dict[str, Any] | None: lambda v: v is None or isinstance(v, dict),
     dict[str, str]: lambda v: isinstance(v, dict) and all(isinstance(one, str) for one in v.values()),
     dict[str, float] | None: lambda v: v is None or _has_numbers(v, {"distance_mm", "angle_deg"}),
     dict[str, list[float]] | None: lambda v: v is None or _is_pose(v),

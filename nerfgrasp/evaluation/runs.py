@@ -7,13 +7,14 @@ from functools import cached_property
 from itertools import combinations
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.results import Row, Times, read_results, read_times, times_path
 
 SUCCESS = "success"
 """The outcome that counts, as `nerfgrasp.sim.attempt.Outcome` names it; that would bring a simulator along."""
-CONSTANT = ("set", "task", "seed", "method", "model", "schedule", "search", "device", "pose", "physics", "versions")
+CONSTANT = ("set", "task", "seed", "method", "model", "search", "gripper", "options", "physics", "versions")
 """What all lines of one file share."""
 
 
@@ -29,7 +30,7 @@ class Run:
     """How long they took; empty where that is not kept."""
     label: str
     """The name given, or the method, with its model's hash where several models of one method are compared, and the
-    schedule and the pose parameterization asked for."""
+    options given."""
 
     @property
     def name(self) -> str:
@@ -82,7 +83,8 @@ def load_runs(paths: Sequence[Path], names: Mapping[Path, str] = MappingProxyTyp
     for path, rows in files.items():
         first, beside = rows[0], times_path(path)
         hashed = [(first.model or "no model")[:8]] if first.method in several else []
-        method = " ".join([first.method, *hashed, *(one for one in (first.schedule, first.pose) if one)])
+        options = [value if isinstance(value, str) else f"{name}={value}" for name, value in _told_options(first)]
+        method = " ".join([first.method, *hashed, *options])
         label = names.get(path, method)
         runs.append(Run(path, tuple(rows), tuple(read_times(beside)) if beside.exists() else (), label))
     for one, other in combinations(runs, 2):
@@ -137,6 +139,11 @@ def _check_names(one: Run, other: Run) -> None:
         raise UserError(f"{one.path} and {other.path} are both called {one.label}: a name stands for one method")
 
 
-def _identity(row: Row) -> tuple[str | None, ...]:
-    """Returns what tells a method, and how it was asked to search, from others."""
-    return row.method, row.model, row.schedule, row.pose
+def _identity(row: Row) -> tuple[object, ...]:
+    """Returns the fields that distinguish a method, its model and its options from others."""
+    return row.method, row.model, _told_options(row)
+
+
+def _told_options(row: Row) -> list[tuple[str, Any]]:
+    """Returns the options that were given, except for the device, which changes nothing but the last digits."""
+    return [(name, value) for name, value in (row.options or {}).items() if name != "device"]

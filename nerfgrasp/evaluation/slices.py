@@ -7,10 +7,10 @@ from scipy.stats import spearmanr
 from torch import Tensor
 
 from nerfgrasp.errors import UserError
+from nerfgrasp.methods.psi import Psi
 from nerfgrasp.scenes.oracle import ValidGrasps, negative_grasp_error, sample_top_down
 from nerfgrasp.scenes.scene import Observations, Truth, Workspace
 from nerfgrasp.scenes.slices import Slice
-from nerfgrasp.search.psi import Psi
 
 KINDS = ("translation", "rotation", "mixed")
 """Of slices, in the order of tables."""

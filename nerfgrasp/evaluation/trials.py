@@ -14,9 +14,13 @@ from torch import Tensor
 
 from nerfgrasp import __version__
 from nerfgrasp.errors import UserError
-from nerfgrasp.evaluation.methods import Method, blaming, described, load_method
 from nerfgrasp.evaluation.results import Row, Times
 from nerfgrasp.geometry import Camera, is_rigid, make_pose
+from nerfgrasp.grippers import DEFAULT_GRIPPER, Gripper
+from nerfgrasp.methods.interface import Method
+from nerfgrasp.methods.loading import blaming, load_method
+from nerfgrasp.methods.spec import MethodSpec
+from nerfgrasp.registry import BASELINES, described
 from nerfgrasp.scenes.images import IMAGE_SIZE
 from nerfgrasp.scenes.objects import object_name
 from nerfgrasp.scenes.oracle import grasp_errors, valid_grasps
@@ -25,7 +29,7 @@ from nerfgrasp.scenes.scene import Grasps, Observations, Truth
 from nerfgrasp.scenes.truth import truth_to_json
 from nerfgrasp.search.ranking import alike
 from nerfgrasp.sim.attempt import Attempt, Outcome, attempt_grasp
-from nerfgrasp.sim.physics import physics_hash
+from nerfgrasp.sim.physics import PHYSICS, physics_hash
 from nerfgrasp.sim.rendering import render_scene
 from nerfgrasp.sim.tasks import Task, scene_cameras, scene_generator, workspace
 
@@ -45,24 +49,18 @@ class Trials:
     """What draws the scenes."""
     seed: int
     """Of the scene set."""
-    method: str
-    """The registered name."""
-    folder: str | None
-    """The model folder that the method is loaded from; None for its default."""
+    method: MethodSpec
+    """The method, the folder of its model and its options."""
     model: str | None
-    """Hash of the method's weights."""
+    """Hash of the method's weights; None for a method without a model."""
     size: int = IMAGE_SIZE
     """Width and height of a picture in pixels."""
     catalogue: str | None = None
     """Hash of the catalogue that the objects come from."""
-    schedule: str | None = None
-    """How the method searches; None for its own way."""
     search: str | None = None
-    """Name and hash of that search; None for a method without one."""
-    device: str | None = None
-    """Where the method computes; None for its own choice."""
-    pose: str | None = None
-    """The parameterization that the method searches in; None for its own."""
+    """Name and hash of the method's search strategy; None for a method without one."""
+    gripper: Gripper = DEFAULT_GRIPPER
+    """The hand that carries grasps out."""
 
     @property
     def set(self) -> str:
@@ -71,9 +69,15 @@ class Trials:
 
     def settings(self) -> dict[str, Any]:
         """Returns as JSON data what tells these trials from others; where folders lie does not."""
-        names = ("set", "seed", "method", "model", "size", "catalogue", "schedule", "search", "device", "pose")
-        named = {name: getattr(self, name) for name in names}
-        return {"task": self.task.name, **named, "physics": physics_hash(), "versions": versions()}
+        named = {name: getattr(self, name) for name in ("set", "seed", "model", "size", "catalogue", "search")}
+        method = {"method": self.method.name, "options": self.method.options}
+        return {
+            "task": self.task.name,
+            **named,
+            **method,
+            "physics": physics_hash(PHYSICS, self.gripper),
+            "versions": versions(),
+        }
 
 
 def versions() -> dict[str, str]:
@@ -92,7 +96,7 @@ def run_scene(trials: Trials, scene: int) -> list[tuple[Row, Times]]:
     Raises:
         UserError: the method cannot be loaded, fails, or proposes what is no pose.
     """
-    method = load_method(trials.method, trials.folder, schedule=trials.schedule, device=trials.device, pose=trials.pose)
+    method = load_method(trials.method)
     truth, attempts = trials.task.draw(trials.seed, scene), []
     failed: list[Tensor] = []
     for number in range(trials.task.attempts):
@@ -136,15 +140,15 @@ def _try(trials: Trials, method: Method, truth: Truth, number: int, failed: list
     camera = scene_cameras(truth.seed, truth.index, VIEWS, trials.size)
     clock = [time.perf_counter()]
     where = f"scene {truth.index}, attempt {number}"
-    with blaming(trials.method, where):
+    with blaming(trials.method.name, where):
         needs = frozenset(method.needs)
     observations = observe(truth, camera, needs)
     clock.append(time.perf_counter())
-    with blaming(trials.method, where):
+    with blaming(trials.method.name, where):
         grasps = _untried(method, observations, (truth.seed, truth.index, number), failed)
     clock.append(time.perf_counter())
-    grasp, value = _recorded(grasps, f"{described(trials.method)}, {where}")
-    attempt = _carry_out(truth, grasp)
+    grasp, value = _recorded(grasps, f"{described(BASELINES, trials.method.name)}, {where}")
+    attempt = _carry_out(truth, grasp, trials.gripper)
     clock.append(time.perf_counter())
     row = Row(
         set=trials.set,
@@ -152,10 +156,10 @@ def _try(trials: Trials, method: Method, truth: Truth, number: int, failed: list
         seed=trials.seed,
         scene=truth.index,
         attempt=number,
-        method=trials.method,
+        method=trials.method.name,
         model=trials.model,
         scene_sha256=scene_hash(truth, camera),
-        physics=physics_hash(),
+        physics=physics_hash(PHYSICS, trials.gripper),
         objects=tuple(map(object_name, truth.objects)),
         grasp=grasp,
         value=value,
@@ -163,12 +167,11 @@ def _try(trials: Trials, method: Method, truth: Truth, number: int, failed: list
         object=attempt.object,
         lifted_mm=1000 * attempt.lifted,
         dropped=attempt.dropped,
-        errors=None if grasp is None else pose_errors(truth, recorded_pose(grasp)),
+        errors=None if grasp is None else pose_errors(truth, recorded_pose(grasp), trials.gripper),
         versions=versions(),
-        schedule=trials.schedule,
         search=trials.search,
-        device=trials.device,
-        pose=trials.pose,
+        gripper=None if trials.gripper == DEFAULT_GRIPPER else trials.gripper.name,
+        options=trials.method.options or None,
     )
     return row, Times(truth.index, number, *(after - before for before, after in pairwise(clock))), attempt
 
@@ -233,19 +236,19 @@ def _recorded(grasps: Grasps, where: str) -> tuple[dict[str, list[float]] | None
     return {"position": T[:3, 3].tolist(), "quaternion": quaternion.tolist()}, float(value)
 
 
-def _carry_out(truth: Truth, grasp: dict[str, list[float]] | None) -> Attempt:
+def _carry_out(truth: Truth, grasp: dict[str, list[float]] | None, gripper: Gripper) -> Attempt:
     if grasp is None:
         return Attempt(Outcome.NO_GRASP, after=truth.objects, remaining=tuple(range(len(truth.objects))))
-    return attempt_grasp(truth, recorded_pose(grasp))
+    return attempt_grasp(truth, recorded_pose(grasp), gripper=gripper)
 
 
-def pose_errors(truth: Truth, T_world_grasp: Tensor) -> dict[str, float] | None:
+def pose_errors(truth: Truth, T_world_grasp: Tensor, gripper: Gripper = DEFAULT_GRIPPER) -> dict[str, float] | None:
     """Returns the errors of a grasp `[4, 4]` to the nearest valid one: `distance_mm` and `angle_deg`.
 
     None where one of the objects is no prism, or there is no valid grasp.
     """
     prisms = [thing for thing in truth.objects if isinstance(thing, Prism)]
-    valid = valid_grasps(prisms)
+    valid = valid_grasps(prisms, gripper)
     if len(prisms) < len(truth.objects) or len(valid) == 0:
         return None
     distance, angle = grasp_errors(T_world_grasp, valid)

@@ -1,8 +1,8 @@
 """Finding grasps: random candidates climb a value by gradient ascent (Algorithm 1).
 
 The value is any differentiable function of `T_world_grasp`, the pose parameterization any plug-in. The method that
-joins the search to a trained model stands in `nerfgrasp.search.psi`, whole searches by name in
-`nerfgrasp.search.strategies`, and the interface for arrays in `nerfgrasp.search.finder`.
+joins the search to a trained model stands in `nerfgrasp.methods.psi`, whole searches by name in
+`nerfgrasp.search.strategies`, and the interface for arrays in `nerfgrasp.methods.finder`.
 """
 
 from nerfgrasp.search.ascent import Trace, ascend, search

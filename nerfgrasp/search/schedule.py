@@ -5,9 +5,9 @@ from typing import Protocol
 
 from torch import Tensor
 
+from nerfgrasp.checks import check_number
 from nerfgrasp.errors import UserError
 from nerfgrasp.scenes.scene import Workspace
-from nerfgrasp.search.ranges import check_number
 
 WHOLE = "pose"
 """The group of a parameterization that does not decouple position and orientation."""

@@ -3,13 +3,15 @@
 import hashlib
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
-from nerfgrasp.errors import UserError, unknown_name
+from nerfgrasp.checks import check_number
+from nerfgrasp.errors import UserError, choices_hint, unknown_name
+from nerfgrasp.grippers import Gripper
 from nerfgrasp.search.feasibility import ONE_VIEW, Feasibility
 from nerfgrasp.search.limits import Limits
-from nerfgrasp.search.ranges import check_number
 from nerfgrasp.search.schedule import (
     CLIMB,
     FEW_ROUNDS,
@@ -29,7 +31,7 @@ SEARCH_VERSION = 1
 
 @dataclass(frozen=True)
 class Strategy:
-    """What `--schedule` names: everything that a search does, but for the seed and the pose parameterization."""
+    """What `--strategy` names: everything that a search does, but for the seed and the pose parameterization."""
 
     name: str
     """As results call it."""
@@ -84,6 +86,12 @@ class Strategy:
         """Returns a search for a model that sees one view at a time: density counts half, if nobody gave weights."""
         return replace(self, feasibility=ONE_VIEW) if self.feasibility == Feasibility() else self
 
+    def with_gripper(self, gripper: Gripper) -> "Strategy":
+        """Returns the same search with limits and feasibility for another gripper."""
+        limits = None if self.limits is None else replace(self.limits, gripper=gripper)
+        feasibility = None if self.feasibility is None else replace(self.feasibility, gripper=gripper)
+        return replace(self, limits=limits, feasibility=feasibility)
+
     @property
     def identity(self) -> str:
         """Name and hash of all that it does, e.g. `guided-0123456789abcdef`; `SEARCH_VERSION` counts too."""
@@ -101,7 +109,7 @@ class Strategy:
         clearance = None if limits is None else limits.clearance
         keep = self.candidates if self.keep is None else min(self.keep, self.candidates)
         counts = {"candidates": self.candidates, "keep": keep}
-        return {"schedule": self.name, **counts, "max_tilt_degrees": tilt, "clearance": clearance}
+        return {"strategy": self.name, **counts, "max_tilt_degrees": tilt, "clearance": clearance}
 
     def __str__(self) -> str:
         climbing = self.climbing
@@ -158,7 +166,7 @@ def find_strategy(
         UserError: there is no search of that name, or a number is out of its range.
     """
     if name not in STRATEGIES:
-        raise unknown_name("schedule", name, STRATEGIES)
+        raise unknown_name("strategy", name, STRATEGIES)
     strategy = STRATEGIES[name]
     limits = strategy.limits
     if max_tilt is not None or clearance is not None:
@@ -172,3 +180,25 @@ def find_strategy(
     strategy = replace(strategy, limits=limits)
     strategy = strategy if candidates is None else replace(strategy, candidates=candidates)
     return strategy if keep is None else replace(strategy, keep=keep)
+
+
+def as_strategy(given: str | Mapping[str, Any] | Strategy) -> Strategy:
+    """Returns the strategy that a name, the arguments of `find_strategy` or a strategy stand for.
+
+    Example:
+        >>> print(as_strategy({"name": "prune", "keep": 16}))
+        4096 candidates, the best 16 climb
+
+    Raises:
+        UserError: as for `find_strategy`, or it has no such argument.
+    """
+    if isinstance(given, Strategy):
+        return given
+    arguments = {"name": given} if isinstance(given, str) else dict(given)
+    for name in arguments:
+        if name not in _ARGUMENTS:
+            raise UserError(f"strategy has no {name!r}: {choices_hint(name, _ARGUMENTS)}")
+    return find_strategy(**arguments)
+
+
+_ARGUMENTS = ("name", "candidates", "keep", "max_tilt", "clearance")

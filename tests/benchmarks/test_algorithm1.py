@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from nerfgrasp.geometry import Camera
+from nerfgrasp.methods.psi import ObservedScene, Psi
 from nerfgrasp.models import GraspValue, GraspValueConfig
 from nerfgrasp.scenes.scene import Observations, Workspace
 from nerfgrasp.search import ascend, random_candidates
 from nerfgrasp.search.parameterization import load_pose
-from nerfgrasp.search.psi import ObservedScene, Psi
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from joblib.externals.loky import get_reusable_executor
 from nerfgrasp import cli
 from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.results import read_results, read_times, times_path
+from nerfgrasp.methods.spec import MethodSpec
 from nerfgrasp.models.folder import load_model, weights_hash
 from nerfgrasp.search import strategies
 from nerfgrasp.search.strategies import GUIDED, STRATEGIES
@@ -162,7 +163,7 @@ def test_other_results_are_refused(unbroken: Path, change: dict[str, Any], messa
 
 def test_the_parts_of_another_command_are_refused(tmp_path: Path) -> None:
     out = tmp_path / "results.jsonl"
-    settings = Trials(find_task("simple"), 12, "random", None, None, 32).settings()
+    settings = Trials(find_task("simple"), 12, MethodSpec("random"), None, 32).settings()
     Parts(out, settings).claim(5)
     with pytest.raises(
         UserError,
@@ -174,7 +175,7 @@ def test_the_parts_of_another_command_are_refused(tmp_path: Path) -> None:
 
 def test_finished_scenes_are_not_thrown_away_by_a_shorter_run(tmp_path: Path) -> None:
     out = tmp_path / "results.jsonl"
-    left = Parts(out, Trials(find_task("simple"), 11, "random", None, None, 32).settings())
+    left = Parts(out, Trials(find_task("simple"), 11, MethodSpec("random"), None, 32).settings())
     left.claim(5)
     for scene in (0, 3):
         left.write(scene, [])
@@ -190,7 +191,7 @@ def test_finished_scenes_are_not_thrown_away_by_a_shorter_run(tmp_path: Path) ->
     [
         ({"task": "simpel"}, "unknown task 'simpel': did you mean 'simple'?"),
         ({"method": "orcale"}, "unknown method (and no model) 'orcale': did you mean 'oracle'?"),
-        ({"schedule": "paper"}, "method 'random' has no search schedules: leave schedule 'paper' out"),
+        ({"strategy": "paper"}, "method 'random' has no option 'strategy'"),
         ({"method": "no/such/folder"}, "unknown model (no folder, and none shipped by that name) 'no/such/folder'"),
         ({"objects": Path("here")}, "only 'novel' takes a folder"),
         ({"task": "novel", "objects": Path(__file__).parent}, "commands: neither a URDF nor a mesh"),
@@ -200,7 +201,7 @@ def test_finished_scenes_are_not_thrown_away_by_a_shorter_run(tmp_path: Path) ->
         ({"size": 8}, "size is 8: it must be from 16"),
         ({"workers": 0}, "workers is 0"),
         ({"device": "cuda:99"}, "device 'cuda:99' is not there"),
-        ({"device": "cpu"}, "method 'random' takes no device: leave device 'cpu' out"),
+        ({"device": "cpu"}, "method 'random' has no option 'device'"),
     ],
 )
 def test_bad_values_are_one_line_and_nothing_is_written(
@@ -270,33 +271,35 @@ def test_a_model_is_named_by_its_weights(case: Case, model: Path) -> None:
     assert str(model.parent) not in case.unbroken.read_text()
 
 
-def test_a_schedule_is_recorded_and_kept_apart(model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_strategy_is_recorded_and_kept_apart(model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(STRATEGIES, "paper", replace(STRATEGIES["paper"], candidates=4))
     arguments, out = {**SMALL, "method": str(model), "scenes": 1}, tmp_path / "results.jsonl"
-    evaluate(**arguments, schedule="paper", out=out, workers=1)
-    assert [row.schedule for row in read_results(out)] == ["paper"]
+    evaluate(**arguments, strategy="paper", out=out, workers=1)
+    assert [row.options for row in read_results(out)] == [{"strategy": "paper"}]
     assert [row.search for row in read_results(out)] == [STRATEGIES["paper"].identity]
-    with pytest.raises(UserError, match="holds other results: schedule 'paper', asked for None"):
+    with pytest.raises(UserError, match="holds other results: options {'strategy': 'paper'}, asked for {}"):
         evaluate(**arguments, out=out)
-    with pytest.raises(UserError, match="unknown schedule 'papre': did you mean 'paper'"):
-        evaluate(**arguments, schedule="papre", out=tmp_path / "other.jsonl")
-    with pytest.raises(UserError, match="holds other results: device None, asked for 'cpu'"):
-        evaluate(**arguments, schedule="paper", out=out, device="cpu")
-    evaluate(**arguments, schedule="paper", pose="screw", out=tmp_path / "screw.jsonl", workers=1)
+    with pytest.raises(UserError, match="unknown strategy 'papre': did you mean 'paper'"):
+        evaluate(**arguments, strategy="papre", out=tmp_path / "other.jsonl")
+    with pytest.raises(UserError, match="holds other results: options .*, asked for .*'device': 'cpu'"):
+        evaluate(**arguments, strategy="paper", out=out, device="cpu")
+    evaluate(**arguments, strategy="paper", pose="screw", out=tmp_path / "screw.jsonl", workers=1)
     [own], [screw] = read_results(out), read_results(tmp_path / "screw.jsonl")
-    assert (own.pose, screw.pose) == (None, "screw")
+    assert (own.options, screw.options) == ({"strategy": "paper"}, {"strategy": "paper", "pose": "screw"})
     assert own.grasp != screw.grasp
-    with pytest.raises(UserError, match="holds other results: pose None, asked for 'screw'"):
-        evaluate(**arguments, schedule="paper", pose="screw", out=out)
+    with pytest.raises(UserError, match="holds other results: options .*, asked for .*'pose': 'screw'"):
+        evaluate(**arguments, strategy="paper", pose="screw", out=out)
     with pytest.raises(UserError, match="unknown pose 'scerw': did you mean 'screw'"):
         evaluate(**arguments, pose="scerw", out=tmp_path / "other.jsonl")
     # Another search of the same name, finished or begun: neither is taken for the one asked for.
     search = STRATEGIES["paper"].identity
     monkeypatch.setattr(strategies, "SEARCH_VERSION", strategies.SEARCH_VERSION + 1)
     with pytest.raises(UserError, match=f"holds other results: search '{search}', asked for 'paper-"):
-        evaluate(**arguments, schedule="paper", out=out)
+        evaluate(**arguments, strategy="paper", out=out)
     model_hash = weights_hash(load_model(model))[:16]
-    begun = Trials(find_task("simple"), 11, "psi", None, model_hash, 32, None, "paper", search)
+    begun = Trials(
+        find_task("simple"), 11, MethodSpec("psi", options={"strategy": "paper"}), model_hash, 32, None, search
+    )
     Parts(tmp_path / "begun.jsonl", begun.settings()).claim(scenes=1)
     with pytest.raises(UserError, match=f"left by another command: its search is '{search}'"):
-        evaluate(**arguments, schedule="paper", out=tmp_path / "begun.jsonl", workers=1)
+        evaluate(**arguments, strategy="paper", out=tmp_path / "begun.jsonl", workers=1)

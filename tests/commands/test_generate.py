@@ -12,6 +12,7 @@ from nerfgrasp.commands.generate import generate
 from nerfgrasp.data import packed
 from nerfgrasp.data.packed import PackedScenes, PackedWriter
 from nerfgrasp.errors import UserError
+from nerfgrasp.grippers import Gripper
 from nerfgrasp.scenes.folder import read_scene
 from nerfgrasp.sim.tasks import Task
 
@@ -185,7 +186,7 @@ def test_a_folder_that_cannot_be_made_is_told(tmp_path: Path) -> None:
 
 
 def test_an_error_in_a_worker_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def failing(writer: PackedWriter, task: Task, index: int) -> None:
+    def failing(writer: PackedWriter, task: Task, gripper: Gripper, index: int) -> None:
         raise ZeroDivisionError(f"in scene {index}")
 
     monkeypatch.setattr(command, "write_slot", failing)
@@ -196,7 +197,7 @@ def test_an_error_in_a_worker_is_seen(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_a_lost_worker_is_replaced(unbroken: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_slot, mark = command.write_slot, tmp_path / "died"
 
-    def dying_once(writer: PackedWriter, task: Task, index: int) -> None:
+    def dying_once(writer: PackedWriter, task: Task, gripper: Gripper, index: int) -> None:
         import os
 
         if index == 3 and not mark.exists():
@@ -204,7 +205,7 @@ def test_a_lost_worker_is_replaced(unbroken: Path, tmp_path: Path, monkeypatch: 
             (writer.folder / "scenes" / f".000004.json.{os.getpid()}.tmp").write_text("{")
             mark.touch()
             os.kill(os.getpid(), 9)
-        write_slot(writer, task, index)
+        write_slot(writer, task, gripper, index)
 
     monkeypatch.setattr(command, "write_slot", dying_once)
     generate(**SMALL, out=tmp_path / "set", workers=2)
@@ -216,7 +217,7 @@ def test_workers_that_keep_dying_are_told(tmp_path: Path, monkeypatch: pytest.Mo
     deaths = tmp_path / "deaths"
     deaths.mkdir()
 
-    def dying(writer: PackedWriter, task: Task, index: int) -> None:
+    def dying(writer: PackedWriter, task: Task, gripper: Gripper, index: int) -> None:
         import os
 
         (deaths / str(os.getpid())).touch()

@@ -82,7 +82,7 @@ def test_optimize_writes_grasps_picture_and_recording(
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"grasps.json", "picture.png", "optimization.rrd"}
     data = json.loads((tmp_path / "out" / "grasps.json").read_text())
     assert (data["scene"], data["pose"], data["seed"], data["candidates"]) == ("desk", "quaternion", 0, 12)
-    assert (data["schedule"], data["keep"], data["max_tilt_degrees"]) == ("guided", 4, 60.0)
+    assert (data["strategy"], data["keep"], data["max_tilt_degrees"]) == ("guided", 4, 60.0)
     assert "one scene only" in data["note"]
     values = [grasp["value"] for grasp in data["grasps"]]
     assert 1 <= len(values) <= 3
@@ -109,7 +109,7 @@ def test_what_a_model_that_never_learned_to_render_imagines_is_left_out(
         assert picture.height * 2 < picture.width  # the input views' row alone
     # Nor can it be searched by its density: what is printed and recorded is the search that was run.
     data = json.loads((tmp_path / "out" / "grasps.json").read_text())
-    assert (data["schedule"], data["candidates"], data["keep"]) == ("alone", 12, 4)
+    assert (data["strategy"], data["candidates"], data["keep"]) == ("alone", 12, 4)
     printed = capsys.readouterr().out
     assert "never learned to render, so guided cannot guide its search" in printed
     assert "searching desk: alone, 12 candidates, the best 4 climb" in printed
@@ -159,7 +159,7 @@ def test_schedule_and_constraints_are_kept_and_recorded(
     options = ["--schedule=paper", "--max_tilt=15", "--clearance=0.01", f"--workspace={box}", "--count=12"]
     assert main(arguments(desk, model, tmp_path / "out", *options)) == 0
     data = json.loads((tmp_path / "out" / "grasps.json").read_text())
-    assert (data["schedule"], data["max_tilt_degrees"], data["clearance"]) == ("paper", 15.0, 0.01)
+    assert (data["strategy"], data["max_tilt_degrees"], data["clearance"]) == ("paper", 15.0, 0.01)
     assert [*data["workspace"]["minimum"], *data["workspace"]["maximum"]] == pytest.approx(box)
     found = torch.tensor([grasp["T_world_grasp"] for grasp in data["grasps"]])
     assert (
@@ -193,7 +193,7 @@ def test_execute_reports_the_outcome(
         (["--execute=true"], "simulated"),
         (["--candidates=0"], "candidates is 0"),
         (["--keep=0"], "keep is 0"),
-        (["--schedule=join"], "unknown schedule 'join': did you mean 'joint'"),
+        (["--schedule=join"], "unknown strategy 'join': did you mean 'joint'"),
         (["--max_tilt=-3"], "max_tilt is -3.0"),
         (["--max_tilt=.nan"], "max_tilt is nan"),
         (["--clearance=-0.01"], "clearance is -0.01"),

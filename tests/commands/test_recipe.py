@@ -125,13 +125,13 @@ def test_what_the_report_would_refuse_is_refused_before_anything_starts(
 
 def test_a_row_may_search_by_a_schedule_of_its_own(stages: Callable[..., dict[str, Stage]]) -> None:
     found = stages("mv3", "MV3-alone=mv3-laptop@alone", evaluate_only=True)
-    assert "--schedule" not in found["simple-mv3"].command
+    assert "--strategy" not in found["simple-mv3"].command
     command = found["simple-MV3-alone"].command
     assert command[command.index("--method") + 1] == "mv3-laptop"
-    assert command[command.index("--schedule") + 1] == "alone"
-    with pytest.raises(UserError, match="unknown schedule 'alon': did you mean 'alone'"):
+    assert command[command.index("--strategy") + 1] == "alone"
+    with pytest.raises(UserError, match="unknown strategy 'alon': did you mean 'alone'"):
         stages("a=mv3-laptop@alon")
-    with pytest.raises(UserError, match="method 'random' has no search schedules"):
+    with pytest.raises(UserError, match="method 'random' has no option 'strategy'"):
         stages("a=random@alone")
     with pytest.raises(UserError, match="are the same model"):
         stages("a=mv3-laptop@alone", "b=mv3-laptop@alone")

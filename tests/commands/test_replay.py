@@ -23,7 +23,7 @@ def results(model: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(STRATEGIES, "joint", replace(STRATEGIES["joint"], candidates=2))
         arguments: dict[str, Any] = {"task": "simple", "seed": 11, "size": 32}
-        evaluate(method=str(model), scenes=3, schedule="joint", out=out, workers=1, **arguments)
+        evaluate(method=str(model), scenes=3, strategy="joint", out=out, workers=1, **arguments)
     rows = read_results(out)
     assert all(row.outcome != "success" for row in rows)
     write_results(out, [*rows[:2], replace(rows[2], grasp=None, value=None, errors=None, outcome="no_grasp")])

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from nerfgrasp.errors import UserError
+from nerfgrasp.methods.spec import MethodSpec
 
 pytest.importorskip("pybullet")
 
@@ -20,7 +21,7 @@ SCENE = next(index for index in range(100) if len(TASK.draw(7, index).objects) =
 @pytest.fixture(scope="module")
 def rows() -> list[Row]:
     """The oracle's grasps of two objects, one after another: the second attempt meets what the first left."""
-    found = [row for row, _ in run_scene(Trials(TASK, 7, "oracle", None, None, 32), SCENE)]
+    found = [row for row, _ in run_scene(Trials(TASK, 7, MethodSpec("oracle"), None, 32), SCENE)]
     assert [row.outcome for row in found] == ["success", "success"]
     return found
 
@@ -48,7 +49,7 @@ def test_where_nothing_was_proposed_nothing_happens(rows: list[Row]) -> None:
         (
             lambda row: replace(row, physics="f" * 16),
             32,
-            f"scene {SCENE}, attempt 0 is of physics f{{16}}, which is not this",
+            f"scene {SCENE}, attempt 0 is of physics f{{16}}: this program's",
         ),
         (
             lambda row: row,

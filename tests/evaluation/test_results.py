@@ -37,10 +37,10 @@ def test_rows_come_back_as_they_were(rows: list[Row], tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("schedule", "paper"), ("search", "guided-0123456789abcdef"), ("device", "cuda"), ("pose", "screw")],
+    [("search", "guided-0123456789abcdef"), ("gripper", "franka"), ("options", {"strategy": "paper", "keep": 8})],
 )
 def test_what_not_every_line_has_is_written_only_where_it_is_known(
-    name: str, value: str, rows: list[Row], tmp_path: Path
+    name: str, value: Any, rows: list[Row], tmp_path: Path
 ) -> None:
     rows[1] = replace(rows[1], **{name: value})  # type: ignore[arg-type]
     write_results(tmp_path / "results.jsonl", rows)
@@ -48,6 +48,15 @@ def test_what_not_every_line_has_is_written_only_where_it_is_known(
     without, with_it = map(json.loads, (tmp_path / "results.jsonl").read_text().splitlines())
     assert name not in without
     assert with_it[name] == value
+
+
+def test_older_lines_hold_options_as_fields_of_their_own(rows: list[Row], tmp_path: Path) -> None:
+    path = tmp_path / "results.jsonl"
+    write_results(path, rows[:1])
+    line = {**json.loads(path.read_text()), "schedule": "paper", "device": "cpu", "pose": "screw"}
+    path.write_text(json.dumps(line) + "\n")
+    [row] = read_results(path)
+    assert row.options == {"strategy": "paper", "device": "cpu", "pose": "screw"}
 
 
 def test_times_come_back_as_they_were(tmp_path: Path) -> None:

@@ -45,11 +45,11 @@ def test_models_of_one_method_are_told_apart(attempts: Attempts, write: Write) -
 
 
 def test_schedules_and_poses_of_one_method_are_told_apart(attempts: Attempts, write: Write) -> None:
-    own, paper = attempts(["success"], method="psi"), attempts(["slipped"], method="psi", schedule="paper")
-    screw = attempts(["slipped"], method="psi", schedule="paper", pose="screw")
+    own, paper = attempts(["success"], method="psi"), attempts(["slipped"], method="psi", options={"strategy": "paper"})
+    screw = attempts(["slipped"], method="psi", options={"strategy": "paper", "pose": "screw"})
     paths = [write("own.jsonl", own), write("paper.jsonl", paper), write("screw.jsonl", screw)]
     assert [run.label for run in load_runs(paths)] == ["psi", "psi paper", "psi paper screw"]
-    with pytest.raises(UserError, match="schedule 'paper', but line 1 has None"):
+    with pytest.raises(UserError, match="options {'strategy': 'paper'}, but line 1 has None"):
         load_runs([write("both.jsonl", [*own, *(replace(row, attempt=1) for row in paper)])])
 
 

@@ -8,12 +8,12 @@ from elsewhere import another_device
 from nerfgrasp.errors import UserError
 from nerfgrasp.evaluation.slices import central_grasp, learned_values, means_by_kind, rank_correlation, true_values
 from nerfgrasp.geometry import Camera, make_pose
+from nerfgrasp.methods.psi import Psi
 from nerfgrasp.models import GraspValue, GraspValueConfig
 from nerfgrasp.scenes.oracle import negative_grasp_error, valid_grasps
 from nerfgrasp.scenes.prisms import Prism
 from nerfgrasp.scenes.scene import Observations, Truth, Workspace
 from nerfgrasp.scenes.slices import cut_slice
-from nerfgrasp.search.psi import Psi
 
 BAR = Prism(
     "box", (((-0.02, -0.06), (0.02, -0.06), (0.02, 0.06), (-0.02, 0.06)),), 0.06, (1, 0, 0), 500.0, torch.eye(4)

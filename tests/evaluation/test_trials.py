@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from nerfgrasp.errors import UserError
+from nerfgrasp.methods.spec import MethodSpec
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 
 pytest.importorskip("pybullet")
@@ -50,7 +51,7 @@ def script(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Scripted]:
     return make
 
 
-SIMPLE = Trials(find_task("simple"), 3, "scripted", None, None, size=32)
+SIMPLE = Trials(find_task("simple"), 3, MethodSpec("scripted"), None, size=32)
 
 
 def high(observations: Observations, generator: torch.Generator) -> torch.Tensor:

@@ -67,7 +67,7 @@ def test_what_is_given_takes_the_place_of_its_own() -> None:
     assert changed.limits.clearance == 0.03
     assert changed.climb == STRATEGIES["prune"].climb
     assert changed.settings() == {
-        "schedule": "prune",
+        "strategy": "prune",
         "candidates": 64,
         "keep": 8,
         "max_tilt_degrees": 20.0,
@@ -104,7 +104,7 @@ def test_limits_hold_for_what_is_found(workspace: Workspace) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"name": "papper"}, "unknown schedule 'papper': did you mean 'paper'"),
+        ({"name": "papper"}, "unknown strategy 'papper': did you mean 'paper'"),
         ({"candidates": 0}, "candidates is 0: it must be at least 1"),
         ({"keep": -2}, "keep is -2: it must be at least 1"),
         ({"max_tilt": -1.0}, "max_tilt is -1.0: it must be from 0 to 180 degrees"),

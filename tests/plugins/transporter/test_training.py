@@ -24,8 +24,9 @@ from nerfgrasp.commands.fit import shipped_configs
 from nerfgrasp.data.packed import PackedScenes
 from nerfgrasp.data.streams import SceneSet
 from nerfgrasp.errors import UserError
-from nerfgrasp.evaluation.methods import find_method, load_method, method_hash
 from nerfgrasp.grippers import ROBOTIQ_2F85
+from nerfgrasp.methods.loading import find_method, load_method, method_hash
+from nerfgrasp.methods.spec import MethodSpec
 from nerfgrasp.models.folder import from_plain, load_model, save_model, weights_hash
 from nerfgrasp.scenes.scene import Observations, Workspace
 from nerfgrasp.search.limits import Limits
@@ -157,8 +158,8 @@ def test_fit_ends_with_a_model_folder_that_finds_grasps(
     assert cli.main(["fit", "--config", "tn.yaml", "--config", str(config)]) == 0
     model = tmp_path / "run" / "model"
     assert sorted(path.name for path in model.iterdir()) == ["config.json", "model.safetensors"]
-    assert find_method(str(model)) == ("transporter", str(model))
-    method: Any = load_method("transporter", str(model))
+    assert find_method(str(model)) == MethodSpec("transporter", str(model))
+    method: Any = load_method(MethodSpec("transporter", str(model)))
     assert method.model.config == TINY
     assert method_hash(method) == weights_hash(method.model)[:16]
     grasps = method.propose(observations(folder), Workspace(), generator=torch.Generator(), count=2)

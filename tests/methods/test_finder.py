@@ -12,10 +12,11 @@ import torch
 import nerfgrasp
 from nerfgrasp import GraspFinder, UserError, find_strategy
 from nerfgrasp.geometry import Camera
+from nerfgrasp.methods import psi
+from nerfgrasp.methods.psi import Psi
 from nerfgrasp.models.grasp_value import GraspValue, GraspValueConfig
 from nerfgrasp.scenes.scene import Workspace
-from nerfgrasp.search import psi, search
-from nerfgrasp.search.psi import Psi
+from nerfgrasp.search import search
 from nerfgrasp.search.ranking import grasp_angle
 
 DOCS = Path(__file__).parents[2] / "docs" / "search.md"
@@ -43,15 +44,15 @@ def seen(cameras: Callable[..., Camera]) -> tuple[Any, Any, Any]:
 
 def test_three_lines_find_different_grasps(finder: GraspFinder, seen: tuple[Any, Any, Any]) -> None:
     scene = finder.observe(*seen)
-    grasps = finder.grasps(scene, count=4, schedule=FEW)
+    grasps = finder.grasps(scene, count=4, strategy=FEW)
     assert 1 <= len(grasps) <= 4
     assert torch.equal(grasps.value, grasps.value.sort(descending=True).values)
     T = grasps.T_world_grasp
     near = torch.cdist(T[:, :3, 3], T[:, :3, 3]) < 0.02
     alike = grasp_angle(T[:, None, :3, :3].expand(-1, len(T), 3, 3), T[None, :, :3, :3]) < 0.52
     assert not (near & alike).fill_diagonal_(False).any()
-    again = finder.grasps(scene, count=4, schedule=FEW)
-    other = finder.grasps(scene, count=4, schedule=FEW, seed=1)
+    again = finder.grasps(scene, count=4, strategy=FEW)
+    other = finder.grasps(scene, count=4, strategy=FEW, seed=1)
     assert torch.equal(T, again.T_world_grasp)
     assert not torch.equal(T[0], other.T_world_grasp[0])
 
@@ -61,16 +62,16 @@ def test_what_is_not_worth_enough_is_left_out(
 ) -> None:
     binary = GraspFinder(Psi(GraspValue(GraspValueConfig(tiny_network(), loss="binary"))))
     scene = binary.observe(*seen)
-    every = binary.grasps(scene, count=4, schedule=FEW)
+    every = binary.grasps(scene, count=4, strategy=FEW)
     assert len(every) > 1
     for least, count in ((float(every.value[-1]), len(every)), (float(every.value[0]), 1), (1e6, 0)):
-        kept = binary.grasps(scene, count=4, schedule=FEW, least_value=least)
+        kept = binary.grasps(scene, count=4, strategy=FEW, least_value=least)
         assert torch.equal(kept.value, every.value[:count])
         assert kept.T_world_grasp.shape == (count, 4, 4)
     with pytest.raises(UserError, match="least_value is nan: it must be a finite number"):
-        binary.grasps(scene, schedule=FEW, least_value=float("nan"))
+        binary.grasps(scene, strategy=FEW, least_value=float("nan"))
     with pytest.raises(UserError, match="least_value is 0: the model's values compare within one scene only"):
-        finder.grasps(finder.observe(*seen), schedule=FEW, least_value=0.0)
+        finder.grasps(finder.observe(*seen), strategy=FEW, least_value=0.0)
 
 
 def test_what_was_observed_is_remembered_by_its_content(
@@ -125,7 +126,7 @@ def test_what_cannot_be_searched_is_told(finder: GraspFinder, seen: tuple[Any, A
     scene = finder.observe(*seen)
     for arguments, message in (
         ({"count": 0}, "count is 0"),
-        ({"schedule": "papper"}, "unknown schedule 'papper'"),
+        ({"strategy": "papper"}, "unknown strategy 'papper'"),
         ({"pose": "quaternoin"}, "unknown pose 'quaternoin'"),
     ):
         with pytest.raises(UserError, match=message):

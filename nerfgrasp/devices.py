@@ -1,4 +1,4 @@
-"""Where a search computes."""
+"""Finding the device to compute on."""
 
 import torch
 
@@ -8,7 +8,7 @@ _KINDS = ("cpu", "cuda", "mps")
 
 
 def find_device(name: str | torch.device) -> torch.device:
-    """Returns a device that is there.
+    """Returns a device that exists on this machine.
 
     Example:
         >>> find_device("cpu")
@@ -18,7 +18,7 @@ def find_device(name: str | torch.device) -> torch.device:
         name: `cpu`, `cuda`, `mps`, or a numbered one, e.g. `cuda:1`.
 
     Raises:
-        UserError: there is no such device, or not on this machine.
+        UserError: the name is unknown, or this machine has no such device.
     """
     kind, _, number = str(name).partition(":")
     if kind not in _KINDS or (number and not number.isdecimal()):

@@ -8,9 +8,9 @@ from elsewhere import DEVICE, DeviceError, another_device
 
 from nerfgrasp import registry
 from nerfgrasp.geometry import Camera
+from nerfgrasp.methods.psi import Psi
 from nerfgrasp.models import GraspValue, GraspValueConfig
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
-from nerfgrasp.search.psi import Psi
 from nerfgrasp.search.strategies import GUIDED, STRATEGIES, Strategy
 
 

@@ -9,7 +9,8 @@ from torch import nn
 
 from nerfgrasp import registry
 from nerfgrasp.errors import UserError
-from nerfgrasp.evaluation.methods import find_method, load_method, method_hash
+from nerfgrasp.methods.loading import find_method, load_method, method_hash
+from nerfgrasp.methods.spec import MethodSpec
 from nerfgrasp.models.folder import weights_hash
 
 
@@ -51,23 +52,21 @@ class Placed:
         return cls(device)
 
 
-class Scheduled(Trained):
-    schedule, pose = "own", "own"
+class Optional(Trained):
+    """A method with options of its own, which the package does not know."""
 
-    def with_schedule(self, name: str) -> "Scheduled":
-        other = Scheduled(self.folder)
-        other.schedule = name
-        return other
+    def __init__(self, folder: str, temperature: float, pose: str) -> None:
+        super().__init__(folder)
+        self.temperature, self.pose = temperature, pose
 
-    def with_pose(self, name: str) -> "Scheduled":
-        other = self.with_schedule(self.schedule)
-        other.pose = name
-        return other
+    @classmethod
+    def from_pretrained(cls, folder: str, *, temperature: float = 1.0, pose: str = "own") -> "Optional":
+        return cls(folder, temperature, pose)
 
 
 @pytest.fixture(autouse=True)
 def _registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    methods: dict[str, Any] = {"trained": Trained, "untrained": Untrained, "scheduled": Scheduled}
+    methods: dict[str, Any] = {"trained": Trained, "untrained": Untrained, "optional": Optional}
     methods |= {"faulty": Faulty, "raising": Raising, "psi": Raising, "placed": Placed}
     monkeypatch.setattr(registry, "load", lambda group, name: methods[name])
     load_method.cache_clear()
@@ -76,28 +75,28 @@ def _registered(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def test_a_registered_name_needs_no_folder() -> None:
-    assert find_method("oracle") == ("oracle", None)
+    assert find_method("oracle") == MethodSpec("oracle")
 
 
 def test_a_folder_names_its_method(tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text(json.dumps({"method": "psi"}))
-    assert find_method(str(tmp_path)) == ("psi", str(tmp_path))
+    assert find_method(str(tmp_path)) == MethodSpec("psi", str(tmp_path))
     (tmp_path / "config.json").write_text(json.dumps({"method": "pis"}))
     with pytest.raises(UserError, match="unknown method 'pis': did you mean 'psi'"):
         find_method(str(tmp_path))
 
 
 def test_a_shipped_model_goes_by_its_name() -> None:
-    name, folder = find_method("mv3-laptop")
-    assert name == "psi"
-    assert folder is not None
-    assert folder.endswith("mv3-laptop")
+    spec = find_method("mv3-laptop")
+    assert spec.name == "psi"
+    assert spec.folder is not None
+    assert spec.folder.endswith("mv3-laptop")
 
 
 def test_a_method_that_needs_a_model_says_so() -> None:
     with pytest.raises(UserError, match="method 'trained' needs a model: give the model's folder"):
-        load_method("trained", None)
-    assert load_method("trained", "there").folder == "there"  # type: ignore[attr-defined]
+        load_method(MethodSpec("trained"))
+    assert load_method(MethodSpec("trained", "there")).folder == "there"  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("folder", [None, "there"])
@@ -105,38 +104,35 @@ def test_a_faulty_loader_is_named(folder: str | None) -> None:
     with pytest.raises(
         UserError, match=r"method 'faulty', from_pretrained: TypeError: it takes no folder \(the plug-in"
     ):
-        load_method("faulty", folder)
+        load_method(MethodSpec("faulty", folder))
     with pytest.raises(UserError, match="'raising', from_pretrained: KeyError: 'theirs' .*at fault") as told:
-        load_method("raising", folder)
+        load_method(MethodSpec("raising", folder))
     assert isinstance(told.value.__cause__, KeyError)
-    with pytest.raises(UserError, match=r"'psi' \(nerfgrasp.search.psi:Psi of nerfgrasp [0-9.]+\), from_pretrained"):
-        load_method("psi", folder)
+    with pytest.raises(UserError, match=r"'psi' \(nerfgrasp.methods.psi:Psi of nerfgrasp [0-9.]+\), from_pretrained"):
+        load_method(MethodSpec("psi", folder))
 
 
-def test_a_schedule_is_for_methods_that_have_some() -> None:
-    assert load_method("scheduled", "there", schedule="paper").schedule == "paper"  # type: ignore[attr-defined]
-    assert load_method("scheduled", "there").schedule == "own"  # type: ignore[attr-defined]
-    with pytest.raises(UserError, match="method 'trained' has no search schedules: leave schedule 'paper' out"):
-        load_method("trained", "there", schedule="paper")
-
-
-def test_a_pose_is_for_methods_that_search_in_one() -> None:
-    method: Any = load_method("scheduled", "there", schedule="paper", pose="rotvec")
-    assert (method.schedule, method.pose) == ("paper", "rotvec")
-    with pytest.raises(UserError, match="'trained' searches in no pose parameterization: leave pose 'rotvec' out"):
-        load_method("trained", "there", pose="rotvec")
+def test_options_are_the_parameters_of_the_loader() -> None:
+    method: Any = load_method(MethodSpec("optional", "there", {"temperature": 0.3}))
+    assert (method.temperature, method.pose) == (0.3, "own")
+    method = load_method(MethodSpec("optional", "there", {"temperature": None, "pose": "rotvec"}))
+    assert (method.temperature, method.pose) == (1.0, "rotvec")
+    with pytest.raises(UserError, match="'optional' has no option 'temprature': did you mean 'temperature'"):
+        load_method(MethodSpec("optional", "there", {"temprature": 0.3}))
+    with pytest.raises(UserError, match=r"method 'trained' has no option 'pose': \(choices: none\)"):
+        load_method(MethodSpec("trained", "there", {"pose": "rotvec"}))
 
 
 def test_a_device_is_for_methods_that_take_one() -> None:
-    assert load_method("placed", None, device="cpu:0").device == "cpu:0"  # type: ignore[attr-defined]
-    assert load_method("placed", None).device == "cpu"  # type: ignore[attr-defined]
-    with pytest.raises(UserError, match="method 'trained' takes no device: leave device 'cpu:0' out"):
-        load_method("trained", "there", device="cpu:0")
+    assert load_method(MethodSpec("placed", options={"device": "cpu:0"})).device == "cpu:0"  # type: ignore[attr-defined]
+    assert load_method(MethodSpec("placed")).device == "cpu"  # type: ignore[attr-defined]
+    with pytest.raises(UserError, match="method 'trained' has no option 'device'"):
+        load_method(MethodSpec("trained", "there", {"device": "cpu:0"}))
 
 
 def test_the_hash_is_that_of_the_weights() -> None:
-    assert method_hash(load_method("untrained", None)) is None
-    method: Any = load_method("trained", "there")
+    assert method_hash(load_method(MethodSpec("untrained"))) is None
+    method: Any = load_method(MethodSpec("trained", "there"))
     before = method_hash(method)
     assert before == weights_hash(method.model)[:16]
     with torch.no_grad():

@@ -6,9 +6,10 @@ from collections import OrderedDict
 import torch
 
 from nerfgrasp.errors import UserError
+from nerfgrasp.grippers import DEFAULT_GRIPPER, Gripper
+from nerfgrasp.methods.psi import ObservedScene, Psi
 from nerfgrasp.scenes.arrays import Array, observations_from_arrays, workspace_from_corners
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
-from nerfgrasp.search.psi import ObservedScene, Psi
 from nerfgrasp.search.ranking import distinct
 from nerfgrasp.search.schedule import PoseParameterization
 from nerfgrasp.search.strategies import Strategy, find_strategy
@@ -40,6 +41,7 @@ class GraspFinder:
         device: str | torch.device = "cpu",
         remember: int = 4,
         images: int | None = None,
+        gripper: str | Gripper = DEFAULT_GRIPPER,
     ) -> "GraspFinder":
         """Loads a model.
 
@@ -50,12 +52,13 @@ class GraspFinder:
             remember: see the class.
             images: how many of a scene's images are used, from the front; up to three, or as many as the model needs,
                 if not given. See `Psi`.
+            gripper: the hand that grasps: a gripper, a registered name or a YAML file.
 
         Raises:
             UserError: there is no such model or device, the model is damaged or values no grasps, or `images` is out of
                 its range.
         """
-        return cls(Psi.from_pretrained(model, device=device, images=images), remember=remember)
+        return cls(Psi.from_pretrained(model, device=device, images=images, gripper=gripper), remember=remember)
 
     def observe(
         self,
@@ -97,7 +100,7 @@ class GraspFinder:
         scene: ObservedScene,
         count: int = 5,
         *,
-        schedule: str | Strategy | None = None,
+        strategy: str | Strategy | None = None,
         pose: str | PoseParameterization | None = None,
         seed: int = 0,
         least_value: float | None = None,
@@ -107,7 +110,7 @@ class GraspFinder:
         Args:
             scene: from `observe`.
             count: how many grasps to return at most; there may be fewer that differ.
-            schedule: how to search: a name, or what `find_strategy` returns; the method's own if None.
+            strategy: how to search: a name, or what `find_strategy` returns; the method's own if None.
             pose: the parameterization to climb in, or its registered name; the method's own if None.
             seed: the same seed finds the same grasps.
             least_value: what a grasp must be worth, for a model trained with the loss `binary`; there may be none then.
@@ -124,7 +127,7 @@ class GraspFinder:
             raise UserError(f"count is {count}: it must be at least 1")
         if least_value is not None:
             self.method.check_least(least_value)
-        strategy = find_strategy(schedule) if isinstance(schedule, str) else schedule
+        strategy = find_strategy(strategy) if isinstance(strategy, str) else strategy
         generator = torch.Generator().manual_seed(seed)
         found, _ = self.method.search(scene, generator=generator, pose=pose, strategy=strategy)
         different = distinct(found.to("cpu"), count=count)

@@ -1,6 +1,7 @@
 """Ψ with its search: the method `psi`, from observations to grasps."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ClassVar
@@ -8,22 +9,23 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from nerfgrasp.checks import check_number
+from nerfgrasp.devices import find_device
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import sees_box
+from nerfgrasp.grippers import DEFAULT_GRIPPER, Gripper, find_gripper
 from nerfgrasp.models.folder import DEFAULT_MODEL, load_model
 from nerfgrasp.models.grasp_value import GraspValue
 from nerfgrasp.models.mvnerf import SceneFeatures
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
 from nerfgrasp.search.ascent import Draw, Trace, search
 from nerfgrasp.search.candidates import random_candidates, resample
-from nerfgrasp.search.devices import find_device
 from nerfgrasp.search.feasibility import Feasibility
 from nerfgrasp.search.occupancy import Occupancy, occupancy, occupied_candidates
 from nerfgrasp.search.parameterization import DEFAULT_POSE, load_pose
-from nerfgrasp.search.ranges import check_number
 from nerfgrasp.search.ranking import best_first, distinct, finite_first
 from nerfgrasp.search.schedule import PoseParameterization
-from nerfgrasp.search.strategies import GUIDED, Strategy, find_strategy
+from nerfgrasp.search.strategies import DEFAULT_STRATEGY, GUIDED, Strategy, as_strategy
 
 _DISTANCE, _ANGLE = 0.01, math.radians(15.0)
 """Metres and radians: grasps nearer to a better one in both are not weighed, where not all are."""
@@ -61,6 +63,7 @@ class Psi:
         pose: str = DEFAULT_POSE,
         images: int | None = None,
         chunk: int | None = None,
+        gripper: Gripper = DEFAULT_GRIPPER,
     ) -> None:
         """Wraps a trained value.
 
@@ -72,12 +75,14 @@ class Psi:
                 scene must have as many. A model takes them in groups of as many as it sees at once, averages its values
                 over the groups (the paper's MV1), and leaves out what does not fill one. None for up to three.
             chunk: how many poses are evaluated at once, which bounds the memory; None chooses by the device.
+            gripper: the hand that grasps. The search's limits and feasibility are for this hand.
 
         Raises:
             UserError: `images` is out of its range.
         """
         check_number("images", images, 1)
         self.model = model.eval().requires_grad_(False)
+        self.gripper = gripper
         self.strategy = self.resolve(strategy)
         """What a search is that is not given another."""
         self.pose = pose
@@ -89,38 +94,42 @@ class Psi:
 
     @classmethod
     def from_pretrained(
-        cls, folder: str | None = None, *, device: str | torch.device = "cpu", images: int | None = None
+        cls,
+        folder: str | None = None,
+        *,
+        strategy: str | Mapping[str, Any] | Strategy = DEFAULT_STRATEGY,
+        pose: str = DEFAULT_POSE,
+        device: str | torch.device = "cpu",
+        images: int | None = None,
+        gripper: str | Gripper = DEFAULT_GRIPPER,
     ) -> "Psi":
-        """Loads a model folder, or a shipped model by its name; without either, the default model.
+        """Loads a trained grasp value with its search.
+
+        Args:
+            folder: a model folder, a shipped model's name, or a Hugging Face repository id; None for the default model.
+            strategy: how to search: a name, the arguments of `find_strategy` (e.g. `{"name": "prune", "keep": 16}`), or
+                a strategy.
+            pose: the registered name of the pose parameterization to ascend in.
+            device: where to compute: `cpu`, `cuda`, `mps`, or a numbered one, e.g. `cuda:1`.
+            images: see the class.
+            gripper: the hand that grasps: a gripper, a registered name or a YAML file.
 
         Raises:
-            UserError: there is no such model or device, it is damaged, or it holds no grasp value; or `images` is out
-                of its range.
+            UserError: there is no such model, strategy, parameterization or device, the model is damaged or holds no
+                grasp value, the parameterization does not work, or `images` is out of range.
         """
-        where = find_device(device)
+        found, where, hand = as_strategy(strategy), find_device(device), find_gripper(gripper)
+        load_pose(pose, Workspace())
         folder = DEFAULT_MODEL if folder is None else folder
         model = load_model(folder)
         if not isinstance(model, GraspValue):
             raise UserError(f"model {folder}: a {type(model).__name__} renders scenes but values no grasps")
-        return cls(model.to(where), images=images)
+        return cls(model.to(where), strategy=found, pose=pose, images=images, gripper=hand)
 
     @property
     def device(self) -> torch.device:
         """Where the search runs."""
         return next(self.model.parameters()).device
-
-    def with_schedule(self, name: str) -> "Psi":
-        """Returns the same method with another search, by its name; an unknown one is a UserError."""
-        return self._with(strategy=find_strategy(name))
-
-    def with_pose(self, name: str) -> "Psi":
-        """Returns the same method in another parameterization, by its registered name.
-
-        Raises:
-            UserError: there is none of that name, or it breaks its word.
-        """
-        load_pose(name, Workspace())
-        return self._with(pose=name)
 
     def resolve(self, strategy: Strategy) -> Strategy:
         """Returns what is run where `strategy` is asked for: how far the model's density is believed, it decides.
@@ -128,8 +137,10 @@ class Psi:
         One that cannot render is searched without it; one that sees one view at a time counts half.
         """
         if not self.model.config.renders:
-            return strategy.blind()
-        return strategy.one_view() if self.model.views == 1 else strategy
+            strategy = strategy.blind()
+        elif self.model.views == 1:
+            strategy = strategy.one_view()
+        return strategy.with_gripper(self.gripper)
 
     def observe(self, observations: Observations, workspace: Workspace) -> ObservedScene:
         """Encodes a scene's images once, for any number of searches.
@@ -205,8 +216,29 @@ class Psi:
         self, observations: Observations, workspace: Workspace, *, generator: torch.Generator, count: int = 1
     ) -> Grasps:
         """Returns up to `count` different grasps, best first; arguments and errors as for `search`."""
-        grasps, _ = self.search(observations, workspace, generator=generator)
-        return distinct(grasps, count=count)
+        return self.propose_with_trace(observations, workspace, generator=generator, count=count)[0]
+
+    def propose_with_trace(
+        self, observations: Observations, workspace: Workspace, *, generator: torch.Generator, count: int = 1
+    ) -> tuple[Grasps, Trace]:
+        """Returns the grasps of `propose`, and the trace of the ascent that led to them."""
+        grasps, trace = self.search(observations, workspace, generator=generator)
+        return distinct(grasps, count=count), trace
+
+    def check_minimum_value(self, value: float) -> None:
+        """Checks that grasps can be rejected by a minimum value, a logit.
+
+        Raises:
+            UserError: `value` is not finite, or the model was trained by a softmax over a scene's poses: then its
+                values may be shifted by another constant in each scene.
+        """
+        if not math.isfinite(value):
+            raise UserError(f"minimum_value is {value}: it must be a finite number")
+        if self.model.config.loss != "binary":
+            raise UserError(
+                f"minimum_value is {value:g}: the model's values compare within one scene only, and reject none; those "
+                "of a model trained with the loss 'binary' do"
+            )
 
     def at_least(self, grasps: Grasps, value: float) -> Grasps:
         """Returns the grasps that are worth at least `value`, in their order; there may be none.
@@ -273,11 +305,6 @@ class Psi:
             grasps = best_first(torch.cat([moved, T[count:]]), torch.cat([risen, value[count:]]))
             count = goes_on
         return grasps
-
-    def _with(self, **changes: Any) -> "Psi":
-        """Returns a method on the same model that differs in something."""
-        same = {"strategy": self.strategy, "pose": self.pose, "images": self.asked_images, "chunk": self.chunk}
-        return type(self)(self.model, **{**same, **changes})
 
     def _draw(self, scene: ObservedScene, spacing: float | None) -> Draw:
         if spacing is None:

@@ -7,11 +7,12 @@ from torch import Tensor, nn
 
 from nerfgrasp.errors import UserError
 from nerfgrasp.geometry import Camera, make_pose
+from nerfgrasp.methods import psi
+from nerfgrasp.methods.psi import Psi
 from nerfgrasp.models import GraspValueConfig
 from nerfgrasp.scenes.scene import Grasps, Observations, Workspace
-from nerfgrasp.search import ascent, psi
+from nerfgrasp.search import ascent
 from nerfgrasp.search.occupancy import Occupancy, occupancy
-from nerfgrasp.search.psi import Psi
 from nerfgrasp.search.schedule import CLIMB, PAPER
 from nerfgrasp.search.strategies import GUIDED, RESAMPLE, Strategy, find_strategy
 
@@ -58,6 +59,12 @@ def finds(model: FakeValue, strategy: Strategy = RESAMPLE, images: int | None = 
     return Psi(model, strategy=strategy, images=images, chunk=8)  # type: ignore[arg-type]
 
 
+def changed(method: Psi, strategy: str | None = None, pose: str | None = None) -> Psi:
+    """Returns the method with another strategy or parameterization, both by name."""
+    found = method.strategy if strategy is None else find_strategy(strategy)
+    return Psi(method.model, strategy=found, pose=pose or method.pose, images=method.asked_images, chunk=method.chunk)
+
+
 @pytest.fixture
 def method() -> Psi:
     return finds(FakeValue(), find_strategy(candidates=40, keep=10))
@@ -92,7 +99,7 @@ def test_images_are_seen_once_and_no_more_than_asked_for(workspace: Workspace) -
 
 def test_more_images_than_there_are_is_told(workspace: Workspace) -> None:
     method = finds(FakeValue(), images=4)
-    for one in (method, method.with_schedule("paper")):
+    for one in (method, changed(method, strategy="paper")):
         with pytest.raises(UserError, match="images is 4: the scene has 3"):
             one.observe(observe(3), workspace)
     with pytest.raises(UserError, match="images is 0: it must be at least 1"):
@@ -116,20 +123,20 @@ def test_search_takes_another_strategy_and_shows_the_way(method: Psi, workspace:
     assert trace.value.shape == (CLIMB.steps + 1, 5)
 
 
-def test_a_schedule_goes_by_its_name(method: Psi, workspace: Workspace) -> None:
-    paper = method.with_schedule("paper")
+def test_a_strategy_goes_by_its_name(method: Psi, workspace: Workspace) -> None:
+    paper = changed(method, strategy="paper")
     assert paper.strategy == find_strategy("paper")
     assert paper.model is method.model
     few = find_strategy("paper", candidates=8)
     grasps, trace = paper.search(observe(3), workspace, generator=seeded(), strategy=few)
     assert trace.value.shape == (PAPER.steps + 1, 8)
     assert torch.equal(grasps.value, trace.value[-1].sort(descending=True).values)  # Ψ alone judges
-    with pytest.raises(UserError, match="unknown schedule 'joit': did you mean 'joint'"):
-        method.with_schedule("joit")
+    with pytest.raises(UserError, match="unknown strategy 'joit': did you mean 'joint'"):
+        changed(method, strategy="joit")
 
 
 def test_a_pose_goes_by_its_name(method: Psi, workspace: Workspace) -> None:
-    screw = method.with_schedule("paper").with_pose("screw")
+    screw = changed(method, strategy="paper", pose="screw")
     assert (screw.strategy, screw.pose, method.pose) == (find_strategy("paper"), "screw", "quaternion")
     few = find_strategy("paper", candidates=4)
     own, asked, other = (
@@ -139,7 +146,7 @@ def test_a_pose_goes_by_its_name(method: Psi, workspace: Workspace) -> None:
     assert torch.equal(own, asked)
     assert not torch.equal(own, other)
     with pytest.raises(UserError, match="unknown pose 'scerw': did you mean 'screw'"):
-        method.with_pose("scerw")
+        changed(method, pose="scerw").search(observe(3), workspace, generator=seeded())
 
 
 def test_a_camera_that_sees_nothing_of_the_workspace_is_told(method: Psi) -> None:
@@ -263,7 +270,7 @@ def test_the_density_of_a_model_that_does_not_render_is_not_asked(workspace: Wor
     assert len(trace.value) == CLIMB.steps + 1
     assert 1 < trace.value.shape[1] <= 10
     assert method.strategy == find_strategy("alone", candidates=40, keep=10)
-    assert method.resolve(GUIDED) == method.with_schedule("guided").strategy == find_strategy("alone")
+    assert method.resolve(GUIDED) == changed(method, strategy="guided").strategy == find_strategy("alone")
 
 
 def test_a_model_that_sees_one_view_is_believed_less_of_density() -> None:
@@ -271,7 +278,7 @@ def test_a_model_that_sees_one_view_is_believed_less_of_density() -> None:
     model.views = 1
     method = finds(model, GUIDED)
     assert method.strategy == GUIDED.one_view()
-    assert method.resolve(method.strategy) == method.with_schedule("guided").strategy == method.strategy
+    assert method.resolve(method.strategy) == changed(method, strategy="guided").strategy == method.strategy
     assert finds(FakeValue(), GUIDED).strategy == GUIDED
 
 

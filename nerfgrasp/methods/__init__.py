@@ -1,0 +1,1 @@
+"""Grasping methods: their interface, how they are found and loaded, and Ψ with its search."""
