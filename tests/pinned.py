@@ -4,10 +4,12 @@ The tests in `tests/golden` pin numbers and never change. This module follows th
 """
 
 import hashlib
+import os
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import torch
@@ -25,8 +27,11 @@ from nerfgrasp.sim.rendering import render_scene
 from nerfgrasp.sim.tasks import find_task, scene_cameras
 
 VIEWS = 3
+_pybullet_objects = patch.dict(os.environ, {"NERFGRASP_OBJECTS": ""})
+"""The novel task draws the objects that come with pybullet, whatever folder the environment names."""
 
 
+@_pybullet_objects
 def draw(task: str, seed: int, index: int) -> Truth:
     """Returns one scene of a task."""
     return find_task(task).draw(seed, index)
@@ -84,6 +89,7 @@ def grasps(model: str, strategy: str, seed: int, index: int, candidates: int) ->
     return {"T_world_grasp": found.T_world_grasp.tolist(), "value": found.value.tolist()}
 
 
+@_pybullet_objects
 def rows(task: str, method: str, seed: int, scenes: int) -> list[dict[str, Any]]:
     """Returns the results of every attempt in the first scenes of a set, one flat dictionary an attempt."""
     spec = find_method(method)

@@ -142,7 +142,7 @@ def _finished(trials: Trials, out: Path, scenes: int) -> list[Row]:
     """Returns the rows of a results file that is there, if it is the one asked for."""
     rows, settings = read_results(out), trials.settings()
     first = rows[0]
-    pairs = {"options": (first.options or {}, settings["options"])}
+    pairs: dict[str, tuple[Any, Any]] = {"options": (first.options or {}, settings["options"])}
     for key in ("set", "method", "model", "search", "physics", "versions"):
         pairs[key] = (getattr(first, key), settings[key])
     pairs["scenes"] = (len({row.scene for row in rows}), scenes)
