@@ -1,4 +1,4 @@
-"""The conformance checks pass what conforms and name the promise that is not kept."""
+"""`check_pose` accepts valid parameterizations and names the requirement that a broken one violates."""
 
 import pytest
 import torch
@@ -7,7 +7,7 @@ from torch import Tensor
 
 from nerfgrasp.geometry import is_rigid
 from nerfgrasp.scenes.scene import Workspace
-from nerfgrasp.testing import ConformanceError, check_baseline, check_pose, sample_poses
+from nerfgrasp.testing import ConformanceError, check_pose, sample_poses
 
 
 class Unnormalised(Quaternion):
@@ -62,7 +62,7 @@ class WrongGroups(Quaternion):
 
 
 @pytest.mark.parametrize(
-    ("broken", "promise"),
+    ("broken", "requirement"),
     [
         (Unnormalised, "decode gives rigid transforms"),
         (Detached, "gradients disagree with finite differences"),
@@ -74,8 +74,8 @@ class WrongGroups(Quaternion):
         (WrongGroups, "groups are"),
     ],
 )
-def test_check_pose_names_the_broken_promise(broken: type, promise: str) -> None:
-    with pytest.raises(ConformanceError, match=promise):
+def test_check_pose_names_the_violated_requirement(broken: type, requirement: str) -> None:
+    with pytest.raises(ConformanceError, match=requirement):
         check_pose(broken)
 
 
@@ -85,56 +85,3 @@ def test_sample_poses_hold_the_hard_rotations() -> None:
     traces = poses[:, :3, :3].diagonal(dim1=-2, dim2=-1).sum(-1)
     assert bool((traces == 3).any())
     assert bool(((traces + 1).abs() < 1e-12).any())
-
-
-class Method:
-    needs: frozenset[str] = frozenset({"depth"})
-
-    @classmethod
-    def from_pretrained(cls, folder: str) -> "Method":
-        return cls()
-
-    def propose(self, observations: object, workspace: object, *, generator: object, count: int = 1) -> None: ...
-
-
-class NeedsASet(Method):
-    needs = {"depth"}  # type: ignore[assignment]
-
-
-class NeedsTheMoon(Method):
-    needs = frozenset({"moon"})
-
-
-class MadeByAnInstance(Method):
-    def from_pretrained(self, folder: str) -> "Method":  # type: ignore[override]
-        return self
-
-
-class WithoutCount(Method):
-    def propose(self, observations: object, workspace: object, *, generator: object) -> None:  # type: ignore[override]
-        ...
-
-
-class WithoutProposals:
-    needs: frozenset[str] = frozenset()
-    from_pretrained = Method.__dict__["from_pretrained"]
-
-
-def test_check_baseline_passes_a_method() -> None:
-    check_baseline(Method)
-
-
-@pytest.mark.parametrize(
-    ("broken", "promise"),
-    [
-        (NeedsASet, "`needs` is a frozenset"),
-        (NeedsTheMoon, "moon"),
-        (MadeByAnInstance, "from_pretrained"),
-        (WithoutCount, "count"),
-        (WithoutProposals, "propose"),
-        (Method(), "a method is a class"),
-    ],
-)
-def test_check_baseline_names_the_broken_promise(broken: object, promise: str) -> None:
-    with pytest.raises(ConformanceError, match=promise):
-        check_baseline(broken)
