@@ -111,7 +111,10 @@ def test_the_outline_shows_the_fingers_and_the_palm() -> None:
 
 @pytest.mark.parametrize(
     ("gripper", "rule"),
-    [("franka", "object of the class Gripper"), (replace(FRANKA, name="my hand"), "make up a name, not 'my hand'")],
+    [
+        ("franka", "object of the class Gripper"),
+        (replace(FRANKA, name="my hand"), "a name has only letters, digits, _, . and -, not 'my hand'"),
+    ],
 )
 def test_the_check_names_the_rule(gripper: object, rule: str) -> None:
     with pytest.raises(ConformanceError, match=rule):
